@@ -171,8 +171,8 @@ class Registry(Mapping[str, Entry]):
     Examples
     --------
     >>> colours = Registry("colour", {"red": 1, "green": 2})
-    >>> colours["red"], colours.green, colours.find(len) is len, colours.find("math:pi")
-    (1, 2, True, 3.141592653589793)
+    >>> colours["red"], colours.green, colours.find(len) is len
+    (1, 2, True)
     >>> colours["grene"]
     Traceback (most recent call last):
         ...
@@ -228,22 +228,14 @@ class Registry(Mapping[str, Entry]):
         return f"<{self._what}: {', '.join(self._entries)}>"
 
     def find(self, given: str | Entry) -> Entry:
-        """Return the entry of a name or of a dotted name ("package.module:name"), or what is given itself."""
+        """Return the entry of a name, one that a lab adds, or what is given itself."""
         if not isinstance(given, str):
             return given
         if given in self._entries:
             return self._entries[given]
-        is_ours = given.startswith("feel321.")
-        if self._find is not None and not is_ours:
-            return self._find(given, self._entries)
-        if ":" not in given:
+        if self._find is None:
             raise ValueError(refuse_name(given, self._entries, self._what))
-        module, _, name = given.partition(":")
-        try:
-            entry: Entry = getattr(importlib.import_module(module), name)
-        except (ImportError, AttributeError, ValueError) as error:
-            raise ValueError(f"{self._what} {given!r} cannot be imported: {error}") from None
-        return entry
+        return self._find(given, self._entries)
 
     def choose(self, wanted: str | Entry | Iterable[str | Entry] = "all") -> dict[str, Entry]:
         """Return several entries by name, as wanted: "all", a list of what `find` takes, one entry, or a mapping."""

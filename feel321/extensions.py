@@ -224,12 +224,6 @@ def _find_function(kind: str, given: object) -> Method:
     named = given if hasattr(given, "__qualname__") else type(given)
     module, name = getattr(named, "__module__", "") or "", getattr(named, "__qualname__", "")
     short = getattr(given, "__name__", name).rpartition(".")[2]
-    if module != "__main__" and getattr(sys.modules.get(module), name, None) is given:
-        place = f"{module}:{name}"
-        with contextlib.suppress(
-            ValueError
-        ):  # its package cannot be found again: it is taken as it is
-            return Method(kind, short, place, _digest_module(kind, place), "module")
     try:
         source = inspect.getsource(named)
     except (OSError, TypeError):
@@ -315,7 +309,12 @@ def split_command(kind: str, name: str, command: str) -> list[str]:
 
 def _digest_command(kind: str, name: str, command: str, *, folder: Path) -> str:
     words = {part for word in split_command(kind, name, command) for part in (word, *word.split())}
-    found = {word: folder / word for word in words if _is_inside(folder / word, folder)}
+    found = {}
+    for word in words:
+        with contextlib.suppress(OSError, ValueError):
+            path = folder / word
+            if path.is_file() and path.resolve().is_relative_to(folder):
+                found[word] = path
     return _digest_files(found, command)
 
 
@@ -330,13 +329,6 @@ def _digest_made(kind: str, name: str, file: str, *, folder: Path) -> str:
         one.relative_to(folder).as_posix(): one for one in folder.glob(file.replace(RECORDING, "*"))
     }
     return _digest_files({where: one for where, one in found.items() if one.is_file()}, file)
-
-
-def _is_inside(path: Path, folder: Path) -> bool:
-    try:
-        return path.is_file() and path.resolve().is_relative_to(folder)
-    except (OSError, ValueError):
-        return False
 
 
 # Loading, and calling under guard.

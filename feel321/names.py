@@ -65,13 +65,13 @@ ANCHOR = "anchor"
 MEASURES: Mapping[str, str] = Registry(
     "measure",
     {
-        "metric_of_reducer": "landin:measure_metric",
-        "rating_of_reducer": "landin:measure_rating",
-        "slope": "landin:measure_slope",
-        "one_axis_against_three": "lee:measure_told_apart",
-        "map_attribute": "lee:measure_attribute",
-        "correlation": "park:measure_correlation",
-        "rating_excess": "park:measure_rating_excess",
+        "metric_of_reducer": "measures:measure_metric",
+        "rating_of_reducer": "measures:measure_rating",
+        "slope": "measures:measure_slope",
+        "one_axis_against_three": "measures:measure_told_apart",
+        "map_attribute": "measures:measure_attribute",
+        "correlation": "measures:measure_correlation",
+        "rating_excess": "measures:measure_rating_excess",
     },
 )
 """What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of a module of

@@ -1,13 +1,14 @@
 """The base of every result: data frame, dictionary, summary and a one-line repr.
 
-A result is a frozen dataclass: `@dataclass(frozen=True, slots=True, repr=False, eq=False)` above `class Name(Result)`.
+A result that other code builds on is a frozen dataclass: `@dataclass(frozen=True, slots=True, repr=False, eq=False)`
+above `class Name(Result)`. What a statistic finds is a `Statistic`, whose values need no class of their own.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -60,7 +61,7 @@ class Result:
             table = frame.T.to_string(header=False, float_format=digits)
         else:
             table = frame.to_string(index=False, float_format=digits, max_rows=MOST_ROWS)
-        return "\n".join((type(self).__name__, table, *notes))
+        return "\n".join((_name(self), table, *notes))
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""
@@ -68,7 +69,7 @@ class Result:
         sized = [(name, one) for name, one in _list_fields(self) if hasattr(one, "__len__")]
         known = known or [(name, f"<{len(one)}>") for name, one in sized if len(one)]
         told = ", ".join(f"{name}={value}" for name, value in known)
-        text = f"{type(self).__name__}({told})"
+        text = f"{_name(self)}({told})"
         return text if len(text) <= REPR_WIDTH else f"{text[: REPR_WIDTH - 4]}...)"
 
     def _repr_html_(self) -> str:
@@ -80,7 +81,7 @@ class Result:
         shown = frame.to_html(
             max_rows=20, float_format="{:.4g}".format, border=0, header=len(frame.columns) > 1
         )
-        name = f"<caption>{escape(type(self).__name__)}</caption>"
+        name = f"<caption>{escape(_name(self))}</caption>"
         notes = "".join(f"<p>{escape(str(note))}</p>" for note in getattr(self, "notes", ()))
         table, rest = shown.replace("<th>", '<th scope="row">').split(">", 1)
         return f"{table}>{name}{rest}{notes}"
@@ -94,6 +95,96 @@ class Result:
     def __hash__(self) -> int:
         """Hash by what the repr shows."""
         return hash((type(self), repr(self)))
+
+
+class Statistic(Result, Mapping[str, Any]):
+    """What a statistic found: its values by name, as attributes and as a mapping.
+
+    Parameters
+    ----------
+    kind : str
+        What it is, for the repr.
+    **values : object
+        Numbers, names, tables, and notes on what is to be read with care. `to_frame` gives the first table, or the
+        numbers in one row.
+    """
+
+    __slots__ = ("_kind", "_values")
+    _kind: str
+    _values: dict[str, Any]
+
+    def __init__(self, kind: str, /, **values: Any) -> None:  # noqa: ANN401 - values of any kind
+        object.__setattr__(self, "_kind", kind)
+        object.__setattr__(self, "_values", values)
+
+    def to_frame(self) -> DataFrame:
+        """Return the first table, or the numbers and names in one row.
+
+        Returns
+        -------
+        DataFrame
+            Names of rows stand in its first column.
+        """
+        from pandas import DataFrame
+
+        tables = (value for value in self._values.values() if isinstance(value, DataFrame))
+        table = next(tables, None)
+        if table is None:
+            return super().to_frame()
+        return table.reset_index() if table.index.name else table
+
+    def replace(self, **values: Any) -> Self:  # noqa: ANN401 - values of any kind
+        """Return the same statistic with other values.
+
+        Parameters
+        ----------
+        **values : object
+            New values by name.
+
+        Returns
+        -------
+        Statistic
+            Of the same kind.
+        """
+        return type(self)(self._kind, **{**self._values, **values})
+
+    def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - values of any kind
+        """Look up a value."""
+        if name.startswith("_") or name not in self._values:
+            raise AttributeError(f"{self._kind} has no value {name!r}; it has {', '.join(self)}")
+        return self._values[name]
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        """Refuse every change."""
+        raise AttributeError(f"{self._kind} is frozen: {name} cannot be set")
+
+    def __getitem__(self, name: str) -> Any:  # noqa: ANN401 - values of any kind
+        """Look up a value."""
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        """List the names of the values."""
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        """Count the values."""
+        return len(self._values)
+
+    def __dir__(self) -> list[str]:
+        """List values and methods."""
+        return [*self._values, *(name for name in super().__dir__() if name not in self._values)]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as a kind and its values."""
+        return _make_statistic, (type(self), self._kind, self._values)
+
+
+def _make_statistic(cls: type[Statistic], kind: str, values: dict[str, Any]) -> Statistic:
+    return cls(kind, **values)
+
+
+def _name(result: Result) -> str:
+    return result._kind if isinstance(result, Statistic) else type(result).__name__
 
 
 def to_json_value(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
@@ -116,7 +207,9 @@ def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
 
 
 def _list_fields(value: Result) -> list[tuple[str, Any]]:
-    fields = dataclasses.fields(value)  # type: ignore[arg-type]  # every result is a dataclass
+    if isinstance(value, Statistic):
+        return list(value.items())
+    fields = dataclasses.fields(value)  # type: ignore[arg-type]  # every other result is a dataclass
     return [(field.name, getattr(value, field.name)) for field in fields]
 
 

@@ -3,16 +3,7 @@
 Results have `to_frame` and `summary`; the other records are those that signals, pages and sessions are made of.
 """
 
-from feel321.analysis.agreement import Alpha, Intraclass
-from feel321.analysis.association.classic import Dependent, RepeatedMeasures
-from feel321.analysis.association.correlate import Association, Difference
-from feel321.analysis.association.rivals import Ranking
-from feel321.analysis.choices.model import ChoiceModel
-from feel321.analysis.choices.predict import VotePrediction
-from feel321.analysis.contrasts.bradley_terry import BradleyTerry
-from feel321.analysis.contrasts.compare import Equivalence, NonInferiority, ReducerDifference
-from feel321.analysis.contrasts.discrimination import Discrimination
-from feel321.analysis.mixed.model import Estimate, MixedFit
+from feel321.analysis.mixed.model import MixedFit
 from feel321.analysis.power.plan import PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.replication.claims import Paper, PaperClaim
@@ -20,69 +11,40 @@ from feel321.analysis.report.standing import About, Hypothesis, Standing
 from feel321.analysis.report.write import Results
 from feel321.analysis.screening.consistency import RaterModel
 from feel321.analysis.screening.screen import Screening
-from feel321.analysis.space import Alignment, Ellipses, Space
-from feel321.analysis.standard import P1401, P1401Difference
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.judge import Context
 from feel321.analysis.tradeoff.page import Tradeoff
-from feel321.protocols.questions import Question
-from feel321.protocols.trial import Page, Part, Trials
+from feel321.protocols.trial import Trials
+from feel321.records import Statistic
 from feel321.stimuli.recording import Signal
 from feel321.study.findings import Audit, Problems, Seal
 from feel321.study.power import StudyPower
-from feel321.study.session.events import SessionEvent
-from feel321.study.session.ports import Act, Place
 from feel321.study.status import Status
 
 __all__ = [
-    "P1401",
     "About",
-    "Act",
-    "Alignment",
-    "Alpha",
-    "Association",
     "Audit",
-    "BradleyTerry",
-    "ChoiceModel",
     "Context",
-    "Dependent",
-    "Difference",
-    "Discrimination",
-    "Ellipses",
-    "Equivalence",
-    "Estimate",
     "Further",
     "Hypothesis",
-    "Intraclass",
     "MixedFit",
-    "NonInferiority",
-    "P1401Difference",
-    "Page",
     "Paper",
     "PaperClaim",
-    "Part",
-    "Place",
     "PowerPlan",
     "Primaries",
     "Primary",
     "Problems",
-    "Question",
-    "Ranking",
     "RaterModel",
-    "ReducerDifference",
-    "RepeatedMeasures",
     "Results",
     "Screening",
     "Seal",
-    "SessionEvent",
     "Signal",
-    "Space",
     "Standing",
+    "Statistic",
     "Status",
     "StudyPower",
     "Table",
     "Tradeoff",
     "Trials",
-    "VotePrediction",
 ]  # fmt: skip

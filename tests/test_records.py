@@ -1,5 +1,4 @@
 import copy
-import math
 import pickle
 from dataclasses import dataclass, replace
 
@@ -83,16 +82,12 @@ def test_a_registry_survives_pickling_and_copying() -> None:
     assert repr(registry) == "<thing: one, two>"
 
 
-@pytest.mark.parametrize("name", ["three", "no_such_module:f", "math:no_such_name", ":x", "math:"])
-def test_a_registry_refuses_what_it_cannot_find(name: str) -> None:
-    with pytest.raises(ValueError, match="thing"):
-        Registry("thing", {"one": len}).find(name)
-
-
-def test_several_entries_are_chosen_by_name_by_dotted_name_or_as_they_are() -> None:
+def test_several_entries_are_chosen_by_name_or_as_they_are() -> None:
     registry = Registry("thing", {"one": len, "two": max})
     assert registry.choose() == {"one": len, "two": max}
-    assert registry.choose(["two", "math:sqrt", abs]) == {"two": max, "sqrt": math.sqrt, "abs": abs}
+    assert registry.choose(["two", abs]) == {"two": max, "abs": abs}
+    with pytest.raises(ValueError, match="thing must be one of one, two; got 'three'"):
+        registry.find("three")
     with pytest.raises(TypeError, match=r"things.*write \['one'\]"):
         registry.choose("one")
 

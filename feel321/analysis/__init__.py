@@ -2,7 +2,8 @@
 
 Importing this package loads none of it: a function's module is imported when the function is asked for, and pandas,
 scipy and matplotlib when it is called.
-Records that functions return are in `feel321.results`. What cannot be computed is refused by a ValueError (a wrong
+What a statistic finds is a `Statistic`: named values, `.to_frame()`, `.to_dict()`; this and all other records that
+functions return are in `feel321.results`. What cannot be computed is refused by a ValueError (a wrong
 type by a TypeError) that says what must be, what was got and what to do; what is left out or assumed is in the notes.
 """
 
@@ -17,24 +18,12 @@ if _TYPE_CHECKING:
         compare_dependent,
         repeated_measures_correlation,
     )
-    from feel321.analysis.association.correlate import (
-        compare_metrics,
-        correlate,
-        tabulate_correlations,
-    )
+    from feel321.analysis.association.correlate import compare_metrics, correlate
     from feel321.analysis.association.rivals import rank_metrics
-    from feel321.analysis.browser import write_stimulus_page
-    from feel321.analysis.choices.model import fit_choices
-    from feel321.analysis.choices.predict import predict_votes
+    from feel321.analysis.choices import fit_choices, predict_votes
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
-    from feel321.analysis.contrasts.compare import (
-        compare_reducers,
-        equivalence,
-        non_inferiority,
-        profile_reducers,
-    )
-    from feel321.analysis.contrasts.discrimination import discriminate
-    from feel321.analysis.export import export_r
+    from feel321.analysis.contrasts.compare import compare_reducers, equivalence
+    from feel321.analysis.contrasts.told_apart import discriminate
     from feel321.analysis.mixed.model import contrast, fit_mixed
     from feel321.analysis.plots import (
         plot,
@@ -53,23 +42,22 @@ if _TYPE_CHECKING:
     from feel321.analysis.screening.consistency import rater_model
     from feel321.analysis.screening.rules import RULES
     from feel321.analysis.screening.screen import screen_raters
-    from feel321.analysis.space import align_spaces, fit_space
-    from feel321.analysis.standard import compare_p1401, p1401
+    from feel321.analysis.space import fit_space
+    from feel321.analysis.standard import p1401
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.reading import read_table
     from feel321.analysis.tradeoff.measure import measure_tradeoff
     from feel321.analysis.tradeoff.page import advise_tradeoff
 
 __all__ = [
-    "RULES", "PowerDesign", "Table", "Truth", "advise_tradeoff", "align_spaces", "bradley_terry",
-    "compare_dependent", "compare_metrics", "compare_p1401", "compare_reducers", "contrast", "correlate",
-    "discriminate", "equivalence", "export_r", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary",
+    "RULES", "PowerDesign", "Table", "Truth", "advise_tradeoff", "bradley_terry",
+    "compare_dependent", "compare_metrics", "compare_reducers", "contrast", "correlate",
+    "discriminate", "equivalence", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary",
     "fit_space", "intraclass",
-    "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "non_inferiority", "p1401", "plan_power",
+    "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
-    "plot_spectrum", "predict_votes", "profile_reducers", "rank_metrics", "rater_model",
-    "read_table", "repeated_measures_correlation", "screen_raters",
-    "tabulate_correlations", "write_report", "write_stimulus_page",
+    "plot_spectrum", "predict_votes", "rank_metrics", "rater_model",
+    "read_table", "repeated_measures_correlation", "screen_raters", "write_report",
 ]  # fmt: skip
 
 __getattr__ = _import_lazily(__name__, _list_imports(__file__))

@@ -30,16 +30,19 @@ def read_numbers(given: object, *, what: str) -> Values:
     >>> read_numbers([[1, 2], [None, 4]], what="table").tolist()
     [[1.0, 2.0], [nan, 4.0]]
     """
+    from pandas import isna
+
     try:
         return np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        no_numbers = error
-    try:
-        return _to_numbers(np.asarray(given, dtype=object))
     except (TypeError, ValueError):
+        pass
+    try:
+        cells = np.asarray(given, dtype=object)
+        return np.where(isna(cells), np.nan, cells).astype(np.float64)
+    except (TypeError, ValueError) as error:
         raise ValueError(
-            f"{what} must hold numbers, got {_find_odd(given)}; leave names out, as of rows or columns"
-        ) from no_numbers
+            f"{what} must hold numbers: {error}; leave names out, as of rows or columns"
+        ) from error
 
 
 def read_array(given: object, *, what: str, axes: Sequence[str], missing: bool = False) -> Values:
@@ -133,30 +136,3 @@ def find_p(z: float) -> float:
     from scipy.stats import norm
 
     return float(2 * norm.sf(abs(z)))
-
-
-def _find_odd(given: object) -> str:
-    """Quote the first cell that is not a number."""
-    uneven = "rows of different lengths"
-    try:
-        cells = np.asarray(given, dtype=object).ravel().tolist()
-    except ValueError:
-        return uneven
-    odd: object = next((cell for cell in cells if not _is_number(cell)), [])
-    return uneven if isinstance(odd, list | tuple | np.ndarray) else repr(odd)
-
-
-def _is_number(cell: object) -> bool:
-    one = np.empty(1, dtype=object)
-    one[0] = cell
-    try:
-        _to_numbers(one)
-    except (TypeError, ValueError):
-        return False
-    return True
-
-
-def _to_numbers(cells: NDArray[np.object_]) -> Values:
-    from pandas import isna
-
-    return np.where(isna(cells), np.nan, cells).astype(np.float64)

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from pandas import DataFrame
 
-    from feel321.analysis.association.correlate import Association
     from feel321.analysis.primary.model import Primary
+    from feel321.records import Statistic
     from feel321.stimuli.recording import Recording, Reduced
 
 FLOOR_DB = -80.0
@@ -138,13 +138,13 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     return ax
 
 
-def plot_correlations(found: Association | DataFrame, *, ax: Axes | None = None) -> Axes:
+def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -> Axes:
     """Plot correlations with their 95 % two-way intervals, and the noise ceiling of each.
 
     Parameters
     ----------
-    found : Association or DataFrame
-        What `correlate` returned, or `tabulate_correlations`: a row each.
+    found : Statistic or DataFrame
+        What `correlate` returned, or a table of such: a row each.
     ax : Axes, optional
         Where to plot; a new figure if left out.
 
@@ -187,7 +187,7 @@ def plot(result: object, *, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     result : object
-        A Primary, what `fit_attributes` returned, an Association, a table of correlations or of ratings, a recording or
+        A Primary, what `fit_attributes` or `correlate` returned, a table of correlations or of ratings, a recording or
         a reduced signal.
     ax : Axes, optional
         Where to plot; a new figure if left out.
@@ -216,10 +216,10 @@ def plot(result: object, *, ax: Axes | None = None) -> Axes:
         return plot_correlations(given, ax=ax)
     if hasattr(result, "rate_hz"):
         return plot_recording(given, ax=ax)
-    if hasattr(result, "slopes") or (hasattr(result, "items") and not columns):
+    if hasattr(result, "slopes") or hasattr(result, "models"):
         return plot_slopes(given, ax=ax)
     raise TypeError(
-        "result must be a Primary, an Association, a table of correlations or ratings, or a recording; got "
+        "result must be a Primary, a correlation, a table of correlations or ratings, or a recording; got "
         f"{type(result).__name__}: call a plot_... function, or draw its to_frame()"
     )
 

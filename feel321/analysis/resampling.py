@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.arrays import CONFIDENCE, FLAT, PERFECT, Values
+from feel321.analysis.arrays import CONFIDENCE, FLAT, PERFECT, Values, check_draws
 from feel321.analysis.words import name_path
 
 if TYPE_CHECKING:
@@ -31,8 +31,7 @@ class Choices:
     """Choices that were made before the ratings were seen.
 
     draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
-    does not matter; None: nobody chose one, so equivalence is not tested. seed: random seed. rules: the lab's own
-    screening rules.
+    does not matter; None: equivalence is not tested. rules: the lab's own screening rules.
     """
 
     draws: int = 2000
@@ -42,10 +41,7 @@ class Choices:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""
-        if self.draws < 2:  # noqa: PLR2004 - a spread needs two
-            raise ValueError(
-                f"draws must be 2 or more, got {self.draws}; use 2000 for results to be published"
-            )
+        check_draws(self.draws)
         if self.margin is not None and not 0 < self.margin < np.inf:
             raise ValueError(
                 f"margin must be above 0, in points of the scale, or None; got {self.margin}"
@@ -68,13 +64,8 @@ def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
 
         tau_b = (C - D) / sqrt(N_x N_y)
 
-    An item and its own copies are tied in both. Use it where only the order may be trusted; it is less swayed than
-    Spearman's by a few items that are far out of order, and smaller (about 2/3 of it) for the same data.
-
-    References
-    ----------
-    Kendall (1945), Biometrika 33, 239-251, doi 10.1093/biomet/33.3.239.
-    Knight (1966), Journal of the American Statistical Association 61, 436-439, doi 10.1080/01621459.1966.10480879.
+    An item and its own copies are tied in both (Kendall 1945, doi 10.1093/biomet/33.3.239; Knight 1966, doi
+    10.1080/01621459.1966.10480879).
     """
     # Whatever does not depend on the weights, of which there may be several, is put in order once.
     by_x, by_y = (np.argsort(one, axis=-1, kind="stable") for one in (x, y))
@@ -308,19 +299,6 @@ def _correlate_recordings(
     return np.where(sizes < FEWEST_ITEMS, np.nan, found), sizes
 
 
-def correlate_each(items: Items, method: str) -> Values:
-    """Correlate item means with every metric within each recording, no draw taken: (n_metrics, n_recordings).
-
-    NaN where a recording has fewer than three rated items, or the metric or the means are constant in it.
-    """
-    how, averages = METHODS[method], _average(items, np.ones((1, items.n_participants)))
-    if how.ranked:
-        averages = averages._replace(means=_tie_rounded(averages.means))
-    return np.concatenate([
-        _correlate_recordings(items, row, averages, how=how)[0] for row in items.metrics
-    ])
-
-
 def average_recordings(correlations: Values, sizes: Values, *, counts: Values) -> Values:
     """Average the correlations of recordings, all (draws, n_recordings), over Fisher's z; NaN does not count.
 
@@ -387,25 +365,30 @@ def draw_methods(
     items: Items, methods: Iterable[str], *, draws: int, rng: np.random.Generator
 ) -> dict[str, Draws]:
     """Draw participants and recordings with replacement, and correlate by several methods in the same draws."""
-    everyone, everything = np.ones((1, items.n_participants)), np.ones((1, items.n_recordings))
     block = max(1, BLOCK // max(items.n_participants, items.n_items))
-    sizes = [min(block, draws - start) for start in range(0, draws, block)]
     blocks: dict[str, list[list[Values]]] = {method: [] for method in methods}
-    for size in sizes:
-        averages, counts = _draw_block(items, draws=size, rng=rng)
+    for start in range(0, draws, block):
+        size = min(block, draws - start)
+        # Participants are drawn first and recordings second, so that both intervals share the same participants.
+        averages = _average(items, draw_counts(items.n_participants, size, rng=rng))
+        # A source comes with all its recordings, or not at all.
+        scenes = draw_counts(items.n_sources, size, rng=rng)[:, items.of_source]
         for method, found in blocks.items():
+            counts = (scenes, np.ones_like(scenes))
             drawn = _correlate_means(items, METHODS[method], averages, counts=counts)
             found.append([fisher_z(one) for one in drawn])
-    none = np.empty((len(items.metrics), 0))
-    return {
-        method: Draws(
-            correlate_draws(items, method, participants=everyone, recordings=everything)[:, 0],
-            np.concatenate([two_way for two_way, _ in found], axis=1),
-            np.concatenate([participants for _, participants in found], axis=1),
-            correlate_each(items, method) if METHODS[method].within else none,
-        )
-        for method, found in blocks.items()
-    }
+    whole, everything = _average(items, np.ones((1, items.n_participants))), items.n_recordings
+    result = {}
+    for method, found in blocks.items():
+        how, each = METHODS[method], np.empty((len(items.metrics), 0))
+        (point,) = _correlate_means(items, how, whole, counts=(np.ones((1, everything)),))
+        if how.within:
+            tied = whole._replace(means=_tie_rounded(whole.means)) if how.ranked else whole
+            parts = [_correlate_recordings(items, row, tied, how=how)[0] for row in items.metrics]
+            each = np.concatenate(parts)
+        two_way, people = (np.concatenate(part, axis=1) for part in zip(*found, strict=True))
+        result[method] = Draws(point[:, 0], two_way, people, each)
+    return result
 
 
 def measure_lean(items: Items, method: str, drawn: Draws) -> Values:
@@ -417,17 +400,6 @@ def measure_lean(items: Items, method: str, drawn: Draws) -> Values:
     counts = np.maximum(np.isfinite(leans).sum(axis=1), 1)
     mean: Values = np.nan_to_num(leans, nan=0.0, posinf=0.0, neginf=0.0).sum(axis=1) / counts
     return mean
-
-
-def _draw_block(
-    items: Items, *, draws: int, rng: np.random.Generator
-) -> tuple[Averages, tuple[Values, Values]]:
-    """Average over the participants drawn; also count the recordings drawn, and each once."""
-    # Participants are drawn first and recordings second, so that both intervals share the same participants.
-    people = draw_counts(items.n_participants, draws, rng=rng)
-    # A source comes with all its recordings, or not at all.
-    scenes = draw_counts(items.n_sources, draws, rng=rng)[:, items.of_source]
-    return _average(items, people), (scenes, np.ones_like(scenes))
 
 
 def count_scarcest(items: Items, drawn: Draws) -> int:

@@ -8,7 +8,6 @@ their direction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,11 +18,9 @@ from feel321.analysis.table.items import Table, is_tidy, open_ratings
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import PAIRED
 from feel321.doors import as_rng
-from feel321.records import Result
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import ArrayLike
     from pandas import DataFrame
 
@@ -45,95 +42,6 @@ ROUGH, FINE = (300, 1e-6), (1000, 1e-9)
 """Steps at most, and the change of stress at which to stop."""
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Space(Result):
-    """A map of stimuli.
-
-    Parameters
-    ----------
-    positions : ndarray, shape (n_stimuli, n_dimensions)
-        In the unit of the dissimilarities; of ordinal maps, in a unit of their own.
-    stress : float
-        Kruskal's stress-1: 0 fits perfectly, .05 well, .1 fairly, .2 poorly; of few stimuli in many
-        dimensions it is small whatever the ratings.
-    ordinal : bool
-        Whether only the order of the dissimilarities was used.
-    names : tuple of str
-        Names of the stimuli, if they are known.
-    ellipses : Ellipses or None
-        Where they would lie with other participants, if draws were asked for.
-    """
-
-    positions: Values
-    stress: float
-    ordinal: bool
-    names: tuple[str, ...] = ()
-    ellipses: Ellipses | None = None
-
-    def to_frame(self) -> DataFrame:
-        """Return the map as a table.
-
-        Returns
-        -------
-        DataFrame
-            A row per stimulus: its name or number, and its position along each axis.
-        """
-        from pandas import DataFrame
-
-        axes = [f"axis_{number}" for number in range(1, self.positions.shape[1] + 1)]
-        table = DataFrame(self.positions, columns=axes)
-        table.insert(0, "stimulus", list(self.names or range(len(table))))
-        return table
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Alignment(Result):
-    """Agreement of a map with another after shifting, turning, mirroring and scaling.
-
-    Parameters
-    ----------
-    disparity : float
-        Procrustes' m²: share of the reference's variance not met, 0 to 1.
-    correlation : float
-        √(1 - m²).
-    p : float
-        Share of random pairings of stimuli that agree as well or better.
-    aligned : ndarray, shape (n_stimuli, n_dimensions)
-        The map, fitted to the reference and in its unit.
-    permutations : int
-        Random pairings tried.
-    """
-
-    disparity: float
-    correlation: float
-    p: float
-    aligned: Values
-    permutations: int
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Ellipses(Result):
-    """Where stimuli would lie with other participants: 95 % bootstrap ellipses.
-
-    Parameters
-    ----------
-    space : Space
-        The group's map, two-dimensional.
-    half_axes : ndarray, shape (n_stimuli, 2)
-        Half the longer and the shorter axis of each ellipse.
-    angle : ndarray, shape (n_stimuli,)
-        Of the longer axis against the first dimension, in degrees, 0 to 180.
-    draws, n_participants : int
-        Draws, and participants drawn from.
-    """
-
-    space: Space
-    half_axes: Values
-    angle: Values
-    draws: int
-    n_participants: int
-
-
 def fit_space(
     dissimilarities: Table | ArrayLike,
     *,
@@ -141,7 +49,7 @@ def fit_space(
     ordinal: bool = False,
     draws: int = 0,
     rng: Rng = 0,
-) -> Space:
+) -> Statistic:
     """Place stimuli so that distances agree with dissimilarities.
 
     Parameters
@@ -160,8 +68,12 @@ def fit_space(
 
     Returns
     -------
-    Space
-        The best of the classical and several random starts.
+    Statistic
+        ``table``, a row per stimulus: its name or number, and its position along each axis; ``positions``, (n_stimuli,
+        n_dimensions), in the unit of the dissimilarities (of ordinal maps, in a unit of their own); ``stress``,
+        Kruskal's stress-1: 0 fits perfectly, .05 well, .1 fairly, .2 poorly; ``ordinal names``; ``ellipses`` (with
+        draws): ``half_axes``, (n_stimuli, 2), the longer first, ``angle`` of the longer axis against the first
+        dimension, in degrees, ``draws n_participants``.
 
     Notes
     -----
@@ -176,8 +88,7 @@ def fit_space(
 
     References
     ----------
-    Borg & Groenen (2005), Modern Multidimensional Scaling, doi 10.1007/0-387-28981-X.
-    Kruskal (1964), Psychometrika 29, 1-27, doi 10.1007/BF02289565.
+    Borg & Groenen (2005), doi 10.1007/0-387-28981-X; Kruskal (1964), doi 10.1007/BF02289565.
 
     Examples
     --------
@@ -197,7 +108,10 @@ def fit_space(
                 f"dimensions must be 2 for ellipses, got {dimensions}; leave draws out"
             )
         ellipses = bootstrap_space(dissimilarities, ordinal=ordinal, draws=draws, rng=rng)
-        return replace(ellipses.space, names=names, ellipses=ellipses)
+        space = ellipses.space
+        return make_space(
+            space.positions, space.stress, ordinal=ordinal, names=names, ellipses=ellipses
+        )
     target = check_dissimilarities(dissimilarities)
     if not 1 <= dimensions < len(target):
         raise ValueError(
@@ -214,14 +128,34 @@ def fit_space(
     centred = positions - positions.mean(axis=0)
     turned: Values = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
     strongest = turned[np.abs(turned).argmax(axis=0), np.arange(dimensions)]
-    return Space(turned * np.where(strongest < 0, -1.0, 1.0), stress, ordinal, names)
+    places = turned * np.where(strongest < 0, -1.0, 1.0)
+    return make_space(places, stress, ordinal=ordinal, names=names)
 
 
-def refit_space(dissimilarities: ArrayLike, space: Space) -> Space:
+def make_space(
+    positions: Values,
+    stress: float,
+    *,
+    ordinal: bool = False,
+    names: tuple[str, ...] = (),
+    ellipses: Statistic | None = None,
+) -> Statistic:
+    """Make a map of positions, (n_stimuli, n_dimensions)."""
+    from pandas import DataFrame
+
+    axes = [f"axis_{number}" for number in range(1, positions.shape[1] + 1)]
+    table = DataFrame(positions, columns=axes)
+    table.insert(0, "stimulus", list(names or range(len(table))))
+    return Statistic(
+        "Space", table=table, positions=positions, stress=stress, ordinal=ordinal, names=names, ellipses=ellipses
+    )  # fmt: skip
+
+
+def refit_space(dissimilarities: ArrayLike, space: Statistic) -> Statistic:
     """Fit other dissimilarities of the same stimuli, starting from a map."""
     target = check_dissimilarities(dissimilarities)
     positions, stress = _scale(target, space.positions, ordinal=space.ordinal, steps=ROUGH)
-    return Space(positions, stress, space.ordinal)
+    return make_space(positions, stress, ordinal=space.ordinal)
 
 
 def stress_by_dimension(
@@ -324,49 +258,28 @@ def _scale(
 
 
 def align_spaces(
-    positions: Space | ArrayLike,
-    reference: Space | ArrayLike,
+    positions: Statistic | ArrayLike,
+    reference: Statistic | ArrayLike,
     *,
     permutations: int = 2000,
     rng: Rng = 0,
-) -> Alignment:
-    """Compare a map with a physical configuration of the same stimuli.
+) -> Statistic:
+    """Compare a map with a physical configuration of the same stimuli, both (stimuli, dimensions) or maps.
 
-    Parameters
-    ----------
-    positions : Space or array_like, shape (stimuli, dimensions)
-        The map of what people felt.
-    reference : Space or array_like, shape (stimuli, dimensions)
-        The same stimuli by measurements, in units that may be compared (standardise them first). The one with
-        fewer dimensions is filled with zeros.
-    permutations : int
-        Random pairings, at least 1.
-    rng : int or Generator
-        Seed, or source, of the pairings.
-
-    Returns
-    -------
-    Alignment
-        Agreement, its p, and the map aligned with the reference.
+    Gives ``disparity``, Procrustes' m²: the share of the reference's variance not met, ``correlation`` √(1 - m²),
+    ``p``, the share of random pairings of stimuli that agree as well or better, ``aligned``, the map fitted to the
+    reference and in its unit, and ``permutations``.
 
     Notes
     -----
-    m² = 1 - (Σ σ)², σ the singular values of AᵀB, both centred and of unit size. m² is small for few stimuli
-    even by chance; only the permutation test (PROTEST) says whether it is smaller than that. p = (1 + number
-    of pairings with m² as small) / (1 + permutations).
-
-    References
-    ----------
-    Gower (1975), Psychometrika 40, 33-51, doi 10.1007/BF02291478.
-    Peres-Neto & Jackson (2001), Oecologia 129, 169-178, doi 10.1007/s004420100720.
+    m² = 1 - (Σ σ)², σ the singular values of AᵀB, both centred and of unit size; of fewer dimensions, one is filled
+    with zeros. m² is small for few stimuli even by chance; only the permutation test (PROTEST) says whether it is
+    smaller than that (Gower 1975, doi 10.1007/BF02291478; Peres-Neto & Jackson 2001, doi 10.1007/s004420100720).
 
     Examples
     --------
-    >>> import numpy as np
-    >>> from feel321 import analysis
     >>> places = np.random.default_rng(1).normal(size=(8, 2))
-    >>> mirrored = 3 * places[:, ::-1] + 7
-    >>> result = analysis.align_spaces(places, mirrored)
+    >>> result = align_spaces(places, 3 * places[:, ::-1] + 7)
     >>> round(result.correlation, 6), result.p < 0.01
     (1.0, True)
     """
@@ -387,67 +300,15 @@ def align_spaces(
     p = float((1 + (tried >= agreement - FLAT**0.5).sum()) / (1 + permutations))
     disparity = max(0.0, 1 - agreement**2)
     aligned = _align(one, other)
-    return Alignment(disparity, float(np.sqrt(1 - disparity)), p, aligned, permutations)
-
-
-def regress_attributes(
-    positions: Space | ArrayLike, attributes: Mapping[str, ArrayLike]
-) -> DataFrame:
-    """Find the direction of the map along which each attribute grows.
-
-    Returns a row per attribute: ``r2``, ``f``, ``df``, ``p`` of the regression on all dimensions, and the unit vector
-    ``axis_1``, ``axis_2``, ... in which it grows.
-
-    Notes
-    -----
-    Ordinary least squares of the attribute on the positions ("property fitting"). Dimensions of a map may be
-    turned freely, so that only the direction and R² have a meaning, not single coefficients. With S stimuli
-    and D dimensions R² is D / (S - 1) by chance; p is for one attribute: apply Holm to several.
-
-    References
-    ----------
-    Borg & Groenen (2005), Modern Multidimensional Scaling, chapter 4, doi 10.1007/0-387-28981-X.
-    """
-    import statsmodels.api as sm
-    from pandas import DataFrame
-
-    place = _check_positions(positions, "positions")
-    n, width = place.shape
-    if n < width + 2:
-        raise ValueError(
-            f"positions must be of {width + 2} stimuli or more for a regression in {width} dimensions, got {n}"
-        )
-    rows = {}
-    for name, given in attributes.items():
-        values = _read_attribute(given, name, n)
-        if np.linalg.matrix_rank(place - place.mean(axis=0)) < width:
-            raise ValueError(
-                f"positions must have independent dimensions, got {width}, one of which follows from the others; "
-                "leave it out"
-            )
-        fit = sm.OLS(values, sm.add_constant(place, has_constant="add")).fit()
-        axis = fit.params[1:] / np.linalg.norm(fit.params[1:])
-        tests = {"r2": fit.rsquared, "f": fit.fvalue, "df": int(fit.df_resid), "p": fit.f_pvalue}
-        rows[name] = tests | {f"axis_{number}": part for number, part in enumerate(axis, start=1)}
-    return DataFrame.from_dict(rows, orient="index")
-
-
-def _read_attribute(given: ArrayLike, name: str, n: int) -> Values:
-    values = read_numbers(given, what=f"attribute '{name}'")
-    if values.shape != (n,) or not np.isfinite(values).all():
-        raise ValueError(
-            f"attribute '{name}' must be {n} finite numbers, one per stimulus, got shape {values.shape}"
-        )
-    if ((values - values.mean()) ** 2).sum() <= FLAT * (values**2).sum():
-        raise ValueError(
-            f"attribute '{name}' must differ between stimuli, got one value; leave it out"
-        )
-    return values
+    return Statistic(
+        "Alignment", disparity=disparity, correlation=float(np.sqrt(1 - disparity)), p=p, aligned=aligned,
+        permutations=permutations,
+    )  # fmt: skip
 
 
 def bootstrap_space(
     dissimilarities: object, *, ordinal: bool = False, draws: int = 200, rng: Rng = 0
-) -> Ellipses:
+) -> Statistic:
     """Draw participants anew and see how far each stimulus moves on the group's map of two dimensions."""
     from scipy.stats import chi2
 
@@ -472,11 +333,13 @@ def bootstrap_space(
     scale = float(chi2.ppf(CONFIDENCE, PLANE)) * len(stack) / (len(stack) - 1)
     half_axes = np.sqrt(scale * np.maximum(values[:, ::-1], 0))
     angle = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])) % 180
-    return Ellipses(space, half_axes, angle, draws, len(stack))
+    return Statistic(
+        "Ellipses", space=space, half_axes=half_axes, angle=angle, draws=draws, n_participants=len(stack)
+    )  # fmt: skip
 
 
-def _check_positions(given: Space | ArrayLike, name: str) -> Values:
-    positions = given.positions if isinstance(given, Space) else given
+def _check_positions(given: Statistic | ArrayLike, name: str) -> Values:
+    positions = given.positions if isinstance(given, Statistic) else given
     place = read_array(positions, what=name, axes=("stimuli", "dimensions"))
     if len(place) < FEWEST:
         raise ValueError(f"{name} must be of 3 stimuli or more, got shape {place.shape}")

@@ -10,7 +10,6 @@ between two steps.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -29,7 +28,7 @@ from feel321.analysis.arrays import (
 )
 from feel321.analysis.table.items import Table, is_tidy, make_items
 from feel321.doors import check_name
-from feel321.records import Result
+from feel321.records import Statistic
 from feel321.types import Direction
 
 UNIT = (0.0, 1.0)
@@ -53,34 +52,26 @@ def fit_monotone_cubic(
     Notes
     -----
     With u = (x - low) / (high - low), the cubics that rise on the interval are those whose slope is q(u) =
-    (α + β u)² + γ² u (1 - u), Lukács' form of a quadratic that is nowhere negative on [0, 1]. They form a
-    convex cone, so the fit is unique. Where the unconstrained cubic is not monotone, the answer lies on the
-    cone's border: q(0) = 0, q(1) = 0, or q(u) = k (u - t)² touching 0 inside. The first two are least squares
-    with two non-negative weights; for the third, the share of variance explained is a ratio of polynomials in
+    (α + β u)² + γ² u (1 - u), Lukács' form of a quadratic that is nowhere negative on [0, 1] (Szegő 1975, theorem
+    1.21.1). They form a convex cone, so the fit is unique. Where the unconstrained cubic is not monotone, the answer
+    lies on the cone's border: q(0) = 0, q(1) = 0, or q(u) = k (u - t)² touching 0 inside. The first two are least
+    squares with two non-negative weights; for the third, the share of variance explained is a ratio of polynomials in
     t, whose stationary points are the roots of a quintic. All are solved exactly, without a grid and without
     an iteration that could stop early.
-
-    References
-    ----------
-    ITU-T P.1401 (2020). Szegő (1975), Orthogonal Polynomials, theorem 1.21.1, for the form of q.
     """
     u = (x - span[0]) / (span[1] - span[0])
     cubic = Polynomial.fit(u, y, 3, domain=UNIT, window=UNIT)
-    if not _is_monotone(cubic, sign):
-        # The best rising or falling cubic among those whose slope is 0 somewhere.
-        rising = _list_candidates(u, y) if sign >= 0 else ()
-        falling = (-cubic for cubic in _list_candidates(u, -y)) if sign <= 0 else ()
-        cubic = min((*rising, *falling), key=lambda cubic: float(((y - cubic(u)) ** 2).sum()))
-    return Polynomial(cubic.coef, domain=span, window=UNIT)
-
-
-def _is_monotone(cubic: Polynomial, sign: int = 0) -> bool:
     slope = cubic.deriv()
     turn = slope.deriv()
     inner = -turn.coef[0] / turn.coef[1] if turn.coef[1] else 0.0
     extremes = slope(np.array([*UNIT, inner if 0 < inner < 1 else 0.0]))
     rises, falls = bool((extremes >= 0).all()), bool((extremes <= 0).all())
-    return (rises and sign >= 0) or (falls and sign <= 0)
+    if not ((rises and sign >= 0) or (falls and sign <= 0)):
+        # The best rising or falling cubic among those whose slope is 0 somewhere.
+        rising = _list_candidates(u, y) if sign >= 0 else ()
+        falling = (-cubic for cubic in _list_candidates(u, -y)) if sign <= 0 else ()
+        cubic = min((*rising, *falling), key=lambda cubic: float(((y - cubic(u)) ** 2).sum()))
+    return Polynomial(cubic.coef, domain=span, window=UNIT)
 
 
 def _list_candidates(u: Values, y: Values) -> Iterator[Polynomial]:
@@ -113,63 +104,6 @@ def _find_touching_points(u: Values, y: Values) -> Values:
     return np.clip(stationary.trim().roots().real, *UNIT)
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class P1401(Result):
-    """A metric judged against mean votes by ITU-T P.1401.
-
-    Parameters
-    ----------
-    plcc, plcc_low, plcc_high : float
-        Pearson correlation of MOS with the mapped metric, and its 95 % interval by Fisher's z; NaN where MOS
-        or the mapped metric is constant; the interval also where the correlation is perfect.
-    srocc : float
-        Spearman correlation of MOS with the metric itself; its sign is the metric's direction.
-    rmse, rmse_low, rmse_high : float
-        Root mean squared error after mapping, on n_items - d degrees of freedom, and its 95 % chi-square
-        interval; in votes' units.
-    rmse_star : float
-        The same of what each error exceeds its item's confidence interval by.
-    outlier_ratio, outlier_ratio_sd : float
-        Share of items whose error exceeds their confidence interval, and its standard deviation.
-    coefficients : tuple of float
-        Of the mapping fitted to all items: a + b x + c x² + d x³, lowest power first, order + 1 of them;
-        (0, 1), the metric as it is, for order 0.
-    order : int
-        Of the mapping.
-    n_items : int
-        Number of items.
-    rmse_n1, rmse_star_n1 : float
-        The two errors on n_items - 1 degrees of freedom, as one edition prints them.
-    mos, interval, mapped : ndarray, shape (n_items,)
-        Mean vote, half its 95 % confidence interval, and the mapped metric.
-    held_out : bool
-        Whether each item was predicted by a mapping fitted without its group.
-    notes : tuple of str
-        Why anything is NaN or to be read with care, one sentence each.
-    """
-
-    plcc: float
-    plcc_low: float
-    plcc_high: float
-    srocc: float
-    rmse: float
-    rmse_low: float
-    rmse_high: float
-    rmse_star: float
-    outlier_ratio: float
-    outlier_ratio_sd: float
-    coefficients: tuple[float, ...]
-    order: int
-    n_items: int
-    rmse_n1: float
-    rmse_star_n1: float
-    mos: Values
-    interval: Values
-    mapped: Values
-    held_out: bool
-    notes: tuple[str, ...] = ()
-
-
 class _Votes(NamedTuple):
     """Items: metric, mean vote, half its interval, the mapping's order, and its direction (0: either)."""
 
@@ -187,7 +121,7 @@ def p1401(
     order: int = 3,
     groups: ArrayLike | None = None,
     higher: Direction | None = None,
-) -> P1401:
+) -> Statistic:
     """Judge a metric against votes as ITU-T P.1401 does.
 
     Parameters
@@ -209,8 +143,13 @@ def p1401(
 
     Returns
     -------
-    P1401
-        Accuracy, monotonicity, error and consistency, with the mapping.
+    Statistic
+        ``plcc plcc_low plcc_high``, Pearson correlation of MOS with the mapped metric and its 95 % interval by Fisher's
+        z; ``srocc``, Spearman correlation of MOS with the metric itself; ``rmse rmse_low rmse_high`` after mapping, in
+        votes' units, with a chi-square interval; ``rmse_star``, the same of what each error exceeds its item's
+        interval by; ``outlier_ratio outlier_ratio_sd``; ``coefficients`` a + b x + c x² + d x³ of the mapping fitted to
+        all items; ``order n_items``; ``rmse_n1 rmse_star_n1``, on n_items - 1 degrees of freedom, as one edition prints
+        them; ``mos interval mapped``, (n_items,); ``held_out notes``.
 
     Notes
     -----
@@ -226,7 +165,6 @@ def p1401(
         outlier ratio = #(|e| > ci) / N,  sd √(OR (1 - OR) / N)
         interval of PLCC = tanh(atanh r ± 1.96 / √(N - 3))
 
-    Errors below rounding count as none, so that items on which all raters agree are not outliers by accident.
     After a least-squares mapping PLCC cannot be negative: look at SROCC for the direction, and at the
     out-of-fold PLCC for the truth. With fewer than 30 items report order 1 first.
 
@@ -245,12 +183,17 @@ def p1401(
     >>> [round(coefficient, 2) for coefficient in result.coefficients]
     [6.48, 90.21]
     """
+    from scipy.stats import chi2, rankdata
+
     if is_tidy(votes) and isinstance(metric, str):
         items = make_items(votes, [metric])
         votes, metric = items.ratings.T, items.metrics[0]
         groups = items.recordings if isinstance(groups, str) else groups
     check_labels(votes, metric, what="metric")
-    given = _read_votes(votes, metric, order)._replace(sign=_find_sign(higher))
+    sign = 0
+    if higher is not None:
+        sign = 1 if check_name(higher, get_args(Direction), "higher") == "better" else -1
+    given = _read_votes(votes, metric, order)._replace(sign=sign)
     mapping, notes = _fit_mapping(given, np.ones(len(given.x), bool)), list[str]()
     mapped = np.asarray(mapping(given.x), np.float64)
     if groups is not None:
@@ -267,31 +210,25 @@ def p1401(
     rmse = root_mean_square(errors, freedom)
     plcc, undefined = _correlate(mos, mapped)
     low, high = fisher_interval(plcc, n - 3, quantile=NORMAL_QUANTILE)
-    rmse_low, rmse_high = _interval_of_rmse(rmse, freedom)
+    rmse_low, rmse_high = (rmse * np.sqrt(freedom / chi2.ppf([0.975, 0.025], freedom))).tolist()
     ratio = float((errors > given.interval).mean())
-    notes += [*undefined, *_explain(plcc, given)]
-    return P1401(
-        plcc=plcc, plcc_low=low, plcc_high=high, srocc=_correlate_ranks(given),
+    notes += undefined
+    if abs(plcc) >= PERFECT:
+        notes.append("The correlation is perfect to rounding and has no interval.")
+    if order > 1 and n < FEW_ITEMS:
+        notes.append(
+            f"With {n} items, fewer than {FEW_ITEMS}, a cubic bends to noise: report order 1 first."
+        )
+    coefficients, in_x = np.zeros(max(order, 1) + 1), mapping.convert().coef
+    coefficients[: len(in_x)] = in_x
+    return Statistic(
+        "P1401", plcc=plcc, plcc_low=low, plcc_high=high, srocc=_correlate(rankdata(mos), rankdata(given.x))[0],
         rmse=rmse, rmse_low=rmse_low, rmse_high=rmse_high, rmse_star=root_mean_square(excess, freedom),
         outlier_ratio=ratio, outlier_ratio_sd=float(np.sqrt(ratio * (1 - ratio) / n)),
-        coefficients=_list_coefficients(mapping, order), order=order, n_items=n,
+        coefficients=tuple(coefficients.tolist()), order=order, n_items=n,
         rmse_n1=root_mean_square(errors, n - 1), rmse_star_n1=root_mean_square(excess, n - 1),
         mos=mos, interval=given.interval, mapped=mapped, held_out=groups is not None, notes=tuple(notes),
     )  # fmt: skip
-
-
-def _find_sign(higher: Direction | None) -> int:
-    """Find which way a mapping may go: 1 up, -1 down, 0 either."""
-    if higher is None:
-        return 0
-    return 1 if check_name(higher, get_args(Direction), "higher") == "better" else -1
-
-
-def _explain(plcc: float, given: _Votes) -> Iterator[str]:
-    if abs(plcc) >= PERFECT:
-        yield "The correlation is perfect to rounding and has no interval."
-    if given.order > 1 and len(given.x) < FEW_ITEMS:
-        yield f"With {len(given.x)} items, fewer than {FEW_ITEMS}, a cubic bends to noise: report order 1 first."
 
 
 def _read_votes(votes: object, metric: object, order: int) -> _Votes:
@@ -347,13 +284,6 @@ def _fit_mapping(given: _Votes, chosen: NDArray[np.bool_]) -> Polynomial:
     return fit_monotone_cubic(x, mos, span=span, sign=given.sign)
 
 
-def _list_coefficients(mapping: Polynomial, order: int) -> tuple[float, ...]:
-    coefficients = np.zeros(max(order, 1) + 1)
-    in_x = mapping.convert().coef
-    coefficients[: len(in_x)] = in_x
-    return tuple(coefficients.tolist())
-
-
 MOST_FOLDS = 200
 """Groups that are left out one at a time; of more, several together, or a corpus would take hours."""
 
@@ -385,97 +315,22 @@ def _correlate(mos: Values, other: Values) -> tuple[float, list[str]]:
     return float(np.clip(np.corrcoef(mos, other)[0, 1], -1, 1)), []
 
 
-def _correlate_ranks(given: _Votes) -> float:
-    from scipy.stats import rankdata
-
-    return _correlate(rankdata(given.mos), rankdata(given.x))[0]
-
-
-def _interval_of_rmse(rmse: float, freedom: int) -> tuple[float, float]:
-    from scipy.stats import chi2
-
-    low, high = rmse * np.sqrt(freedom / chi2.ppf([0.975, 0.025], freedom))
-    return float(low), float(high)
-
-
 SIGNIFICANCE = 0.05
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class P1401Difference(Result):
-    """Two metrics compared on the same votes by ITU-T P.1401.
+def compare_p1401(first: Statistic, second: Statistic) -> Statistic:
+    """Test the differences between two metrics on the same votes as ITU-T P.1401 does, from results of `p1401`.
 
-    Parameters
-    ----------
-    plcc_z, plcc_p : float
-        Difference of Fisher's z of the two PLCC over its standard error, and two-sided p.
-    outlier_z, outlier_p : float
-        Difference of the outlier ratios over the pooled standard error, and two-sided p.
-    rmse_f, rmse_limit, rmse_p : float
-        Squared ratio of the larger rmse to the smaller, the standard's limit F(.95; N - d, N - d), and
-        two-sided p.
-    rmse_star_f, rmse_star_limit, rmse_star_p : float
-        The same of rmse*, with F(.95; N, N).
-    n_items : int
-        Number of items.
-    notes : tuple of str
-        Why anything is NaN, one sentence each.
-    """
-
-    plcc_z: float
-    plcc_p: float
-    outlier_z: float
-    outlier_p: float
-    rmse_f: float
-    rmse_limit: float
-    rmse_p: float
-    rmse_star_f: float
-    rmse_star_limit: float
-    rmse_star_p: float
-    n_items: int
-    notes: tuple[str, ...] = ()
-
-
-def compare_p1401(first: P1401, second: P1401) -> P1401Difference:
-    """Test the differences between two metrics as ITU-T P.1401 does.
-
-    Parameters
-    ----------
-    first, second : P1401
-        Results of `p1401` for two metrics on the same votes, with the same order; positive z means that the
-        first has the larger value.
-
-    Returns
-    -------
-    P1401Difference
-        The four tests.
-
-    Notes
-    -----
-    With N items: Z = (z1 - z2) / √(2 / (N - 3)); for the outlier ratios Z = (p1 - p2) / √(2 p (1 - p) / N)
-    with p their mean; for the errors the larger square over the smaller, against F(.95; N - d, N - d) for rmse
+    With N items: Z = (z1 - z2) / √(2 / (N - 3)) of the PLCC; of the outlier ratios Z = (p1 - p2) / √(2 p (1 - p) / N)
+    with p their mean; of the errors the larger square over the smaller, against F(.95; N - d, N - d) for rmse
     and F(.95; N, N) for rmse*. Putting the larger on top makes the standard's limit a test at 10 %, not 5 %;
     the p given here are two-sided.
 
-    **Not for conclusions.** All four take items for independent and the two metrics' errors for unrelated,
-    although both are errors about the same votes. When stimuli cluster in recordings they find a difference
-    in 13 to 27 % of studies where there is none; use `compare_metrics`.
-
-    References
-    ----------
-    ITU-T Recommendation P.1401 (2020), Methods, metrics and procedures for statistical evaluation,
-    qualification and comparison of objective quality prediction models.
-
-    Examples
-    --------
-    >>> from feel321 import analysis
-    >>> votes = [[10, 20, 15], [30, 25, 20], [50, 40, 45], [55, 60, 50], [80, 75, 70], [85, 95, 90]]
-    >>> good = analysis.p1401(votes, [0.1, 0.2, 0.45, 0.5, 0.8, 0.9], order=1)
-    >>> poor = analysis.p1401(votes, [0.3, 0.1, 0.2, 0.9, 0.4, 0.8], order=1)
-    >>> result = analysis.compare_p1401(good, poor)
-    >>> round(result.plcc_z, 2), round(result.plcc_p, 3), round(result.rmse_f, 1), round(result.rmse_p, 3)
-    (2.83, 0.005, 68.5, 0.001)
+    **Not for conclusions.** All four take items for independent and the two metrics' errors for unrelated: when stimuli
+    cluster in recordings they find a difference in 13 to 27 % of studies where there is none; use `compare_metrics`.
     """
+    from scipy.stats import f as fisher
+
     if not np.array_equal(first.mos, second.mos):
         raise ValueError("second must be on the votes of the first, got other items or raters")
     if (first.order, first.held_out) != (second.order, second.held_out):
@@ -498,21 +353,17 @@ def compare_p1401(first: P1401, second: P1401) -> P1401Difference:
     else:
         error = np.sqrt(2 * pooled * (1 - pooled) / n)
         outlier_z = float((first.outlier_ratio - second.outlier_ratio) / error)
-    rmse = _compare_errors((first.rmse, second.rmse), freedom, name="rmse", notes=notes)
-    star = _compare_errors((first.rmse_star, second.rmse_star), n, name="rmse*", notes=notes)
-    return P1401Difference(
-        plcc_z, find_p(plcc_z), outlier_z, find_p(outlier_z), *rmse, *star, n, tuple(notes)
-    )
-
-
-def _compare_errors(
-    errors: tuple[float, float], freedom: int, *, name: str, notes: list[str]
-) -> tuple[float, float, float]:
-    from scipy.stats import f
-
-    limit = float(f.ppf(1 - SIGNIFICANCE, freedom, freedom))
-    if min(errors) == 0:
-        notes.append(f"No test of {name}: it is 0 for at least one metric.")
-        return float("nan"), limit, float("nan")
-    ratio = float((max(errors) / min(errors)) ** 2)
-    return ratio, limit, float(min(1.0, 2 * f.sf(ratio, freedom, freedom)))
+    tests: dict[str, float] = {}
+    for name, size in (("rmse", freedom), ("rmse_star", n)):
+        errors, limit = (first[name], second[name]), float(fisher.ppf(1 - SIGNIFICANCE, size, size))
+        ratio = p = float("nan")
+        if min(errors) == 0:
+            notes.append(f"No test of {name}: it is 0 for at least one metric.")
+        else:
+            ratio = float((max(errors) / min(errors)) ** 2)
+            p = float(min(1.0, 2 * fisher.sf(ratio, size, size)))
+        tests |= {f"{name}_f": ratio, f"{name}_limit": limit, f"{name}_p": p}
+    return Statistic(
+        "P1401Difference", plcc_z=plcc_z, plcc_p=find_p(plcc_z), outlier_z=outlier_z, outlier_p=find_p(outlier_z),
+        **tests, n_items=n, notes=tuple(notes),
+    )  # fmt: skip

@@ -3,29 +3,11 @@
 Knows nothing of signals, screens or files: a trial names a stimulus by its id.
 """
 
-from feel321.protocols.agenda import Agenda
-from feel321.protocols.balance import Balance, measure_balance
 from feel321.protocols.order import ORDERS, make_order
-from feel321.protocols.tasks import PROTOCOLS, make_task, score_trial
-from feel321.protocols.texts import read_scales
-from feel321.protocols.trial import Flow, Item, Scale, Task, Trial
+from feel321.protocols.tasks import PROTOCOLS, make_task
+from feel321.protocols.trial import Item
 
-__all__ = [
-    "ORDERS",
-    "PROTOCOLS",
-    "Agenda",
-    "Balance",
-    "Flow",
-    "Item",
-    "Scale",
-    "Task",
-    "Trial",
-    "make_order",
-    "make_task",
-    "measure_balance",
-    "read_scales",
-    "score_trial",
-]
+__all__ = ["ORDERS", "PROTOCOLS", "Item", "make_order", "make_task"]
 
 
 def __dir__() -> list[str]:

@@ -18,9 +18,20 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import groupby
 
-from feel321.protocols.questions import Question, list_pages
 from feel321.protocols.tasks import measure_chance
-from feel321.protocols.trial import ASIDE, MATCHING, THRESHOLD, Flow, Page, Trial
+from feel321.protocols.texts import Question, list_pages
+from feel321.protocols.trial import (
+    ASIDE,
+    LOST,
+    MATCHING,
+    MOST_LOST,
+    SPOILED,
+    THRESHOLD,
+    VALID,
+    Flow,
+    Page,
+    Trial,
+)
 
 SECONDS = 60.0
 RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done", "matching_done"})
@@ -33,19 +44,12 @@ COUNTED = frozenset({"main", THRESHOLD, MATCHING})
 class Agenda:
     """The steps of a session that are still to be done, in order.
 
-    Parameters
-    ----------
-    trials : sequence of Trial
-        All trials of the plan: those of the main phase in their order, training and practice anywhere.
-    flow : Flow
-        The rules of the session.
-    questions : sequence of Question
-        The questions besides the trials; each is a page.
+    total: trials of the main phase; answered: those that have an answer that counts; given_up: those that were tried
+    too often without; lost_in_a_row: attempts at trials that the device lost, up to now.
 
     Examples
     --------
-    >>> from feel321 import protocols
-    >>> agenda = protocols.Agenda([], protocols.Flow())
+    >>> agenda = Agenda([], Flow())
     >>> agenda.ask()
     Page(key='welcome', least_s=0.0, by='participant')
     >>> agenda.tell_page("welcome", time_s=2.5)
@@ -56,63 +60,32 @@ class Agenda:
     def __init__(
         self, trials: Sequence[Trial], flow: Flow, questions: Sequence[Question] = ()
     ) -> None:
-        self._flow = flow
+        self.flow = flow
         self._trials = {trial.number: trial for trial in trials}
         self._steps: deque[Page | Trial] = deque(_list_steps(trials, flow, questions))
-        self._attempts: Counter[int] = Counter()
-        self._spent: Counter[int] = Counter()
-        self._lost: int | None = None
+        self._failed: Counter[tuple[int, str]] = Counter()
         self._rounds: Counter[str] = Counter()
         self._understood: list[bool] = []
         self._guessed = 0.0
         self._since_break, self._break_s = 0, 0.0
         self.total = sum(trial.phase == "main" for trial in trials)
-        """Trials of the main phase."""
-        self.done = 0
-        """Those of them that need no further attempt, rated or given up."""
-        self.given_up = 0
-        """Those of them that were tried too often without success."""
+        self.answered = self.given_up = self.lost_in_a_row = 0
+
+    @property
+    def done(self) -> int:
+        """Trials of the main phase that need no further attempt."""
+        return self.answered + self.given_up
 
     def ask(self) -> Page | Trial | None:
-        """Return the next step.
-
-        Returns
-        -------
-        Page, Trial or None
-            The same one until it is told as done; None when all are.
-        """
+        """Return the next step, the same one until it is told as done; None when all are."""
         return self._steps[0] if self._steps else None
 
     def attempt(self, number: int) -> int:
-        """Return the number of the next attempt at a trial.
-
-        Parameters
-        ----------
-        number : int
-            The trial's number.
-
-        Returns
-        -------
-        int
-            From 1.
-        """
-        return self._attempts[number] + 1
+        """Return the number of the next attempt at a trial, from 1."""
+        return self._failed[number, LOST] + self._failed[number, SPOILED] + 1
 
     def tell_page(self, key: str, *, time_s: float) -> None:
-        """Take a page as read; the pages `ASIDE` may be read at any time.
-
-        Parameters
-        ----------
-        key : str
-            Its key.
-        time_s : float
-            Time in s since the session began.
-
-        Raises
-        ------
-        ValueError
-            If another step is next.
-        """
+        """Take a page as read at a time in s since the session began; the pages `ASIDE` may be read at any time."""
         if key in ASIDE:
             return
         self._take(key)
@@ -120,59 +93,33 @@ class Agenda:
             self._since_break, self._break_s = 0, time_s
 
     def tell_trial(
-        self,
-        number: int,
-        *,
-        accepted: bool,
-        as_expected: bool | None,
-        time_s: float,
-        spent: bool = True,
-        lost: bool = False,
+        self, number: int, outcome: str, *, as_expected: bool | None, time_s: float
     ) -> None:
-        """Take an attempt at a trial as made.
+        """Take an attempt at a trial as made; one that is not `VALID` comes again, unless it came too often.
 
-        Parameters
-        ----------
-        number : int
-            The trial's number.
-        accepted : bool
-            False if the attempt was a bad one; the trial then comes again, unless it came too often already.
-        as_expected : bool or None
-            Whether the answer was one of those expected; None where any will do.
-        time_s : float
-            Time in s since the session began.
-        spent : bool
-            Whether a bad attempt is one of those that a trial has: a device that fails may not use them up.
-        lost : bool
-            Whether its stimulus did not reach the hand. If that of another trial did not either, just before, the
-            device failed, and the attempt is not spent.
-
-        Raises
-        ------
-        ValueError
-            If another step is next.
+        as_expected: whether the answer was one of those expected; None where any will do.
         """
         self._take(number)
         trial = self._trials[number]
-        before, self._lost = self._lost, number if lost else None
-        if not accepted:
-            self._attempts[number] += 1
-            self._spent[number] += spent and not (lost and before not in {None, number})
-            if self._spent[number] < self._flow.max_attempts:
+        self.lost_in_a_row = self.lost_in_a_row + 1 if outcome == LOST else 0
+        if outcome != VALID:
+            self._failed[number, outcome] += 1
+            most = MOST_LOST if outcome == LOST else self.flow.max_attempts
+            if self._failed[number, outcome] < most:
                 self._steps.insert(_find_place(self._steps, trial), trial)
                 return
         if trial.phase == "training":
             self._put_first(list(self._teach(trial, understood=as_expected)))
         elif trial.phase == "main":
-            self.done += 1
-            self.given_up += not accepted
+            self.answered += outcome == VALID
+            self.given_up += outcome != VALID
             self._since_break += 1
-            trials, minutes = self._flow.break_trials, self._flow.break_min
+            trials, minutes = self.flow.break_trials, self.flow.break_min
             by_count = trials is not None and self._since_break >= trials
             by_time = minutes is not None and time_s - self._break_s >= minutes * SECONDS
             # Where a page comes anyway, or nothing does, a break would be one too many.
             if (by_count or by_time) and isinstance(self.ask(), Trial):
-                self._steps.appendleft(Page("break", self._flow.break_s))
+                self._steps.appendleft(Page("break", self.flow.break_s))
 
     def warm_up(self) -> None:
         """Repeat the practice trials of the current task when a participant returns after a long break."""
@@ -206,11 +153,11 @@ class Agenda:
         left = (step for step in self._steps if isinstance(step, Trial))
         if not self._understood or any((step.phase, step.protocol) == own for step in left):
             return
-        needed = self._flow.training_pass * (len(self._understood) - self._guessed)
+        needed = self.flow.training_pass * (len(self._understood) - self._guessed)
         self._rounds[protocol] += 1
         if max(sum(self._understood) - self._guessed, 0.0) >= needed:
             yield Page("training_passed")
-        elif self._rounds[protocol] >= self._flow.training_rounds:
+        elif self._rounds[protocol] >= self.flow.training_rounds:
             yield Page("training_failed", by="experimenter")
         else:
             yield Page("training_again")
@@ -221,8 +168,7 @@ class Agenda:
         """Put steps before all others; a trial that comes again has all its attempts again."""
         for step in steps:
             if isinstance(step, Trial):
-                self._attempts.pop(step.number, None)
-                self._spent.pop(step.number, None)
+                self._failed[step.number, LOST] = self._failed[step.number, SPOILED] = 0
         self._steps.extendleft(reversed(steps))
 
 

@@ -35,6 +35,8 @@ References
    doi:10.4324/9781410611147
 .. [6] van der Maaten, L., & Weinberger, K. (2012). Stochastic triplet embedding. IEEE International Workshop on Machine
    Learning for Signal Processing. doi:10.1109/MLSP.2012.6349720
+.. [7] Williams, E. J. (1949). Experimental designs balanced for the estimation of residual effects of
+   treatments. Australian Journal of Scientific Research A, 2, 149-168. doi:10.1071/CH9490149
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -44,7 +46,6 @@ from itertools import combinations, islice
 from types import MappingProxyType
 
 from feel321.doors import check_name
-from feel321.protocols.balance import count_rows, williams_row
 from feel321.protocols.trial import (
     ORIGINAL,
     RATING_RANGE,
@@ -60,6 +61,8 @@ from feel321.protocols.trial import (
 Items = Sequence[Item]
 Comparisons = tuple[Comparison, ...]
 
+WRONG, RIGHT = RATING_RANGE
+
 EXPECTED: Mapping[str, tuple[float, float]] = MappingProxyType({
     "identical": (75.0, 100.0),
     "hidden_reference": (55.0, 100.0),
@@ -74,8 +77,6 @@ reference. No answer is right for both a reference and an anchor, nor are two th
 nobody passes who always answers the same. Raters are screened in the analysis, by the limits of BS.1534-3 (90 points).
 """
 
-WRONG, RIGHT = RATING_RANGE
-
 CHOICES = FIRST, SECOND = ("a", "b")
 """Names of the parts of which one is chosen."""
 
@@ -87,6 +88,34 @@ FEWEST = 2
 
 MUSHRA_MOST = 12
 """Most stimuli on a page of MUSHRA, the hidden reference and the anchors among them (BS.1534-3)."""
+
+
+def count_rows(n: int) -> int:
+    """Count the sequences of a Williams square of n conditions: n for even n, 2 n for odd n."""
+    if n < 1:
+        raise ValueError(f"n must be a number of conditions from 1, got {n}")
+    return 2 * n if n % 2 and n > 1 else n
+
+
+def williams_row(n: int, number: int) -> tuple[int, ...]:
+    """Make one sequence of a Williams square of n conditions [7]_; number: from 0 to `count_rows(n) - 1`.
+
+    In all sequences together each condition is at each position, and each ordered pair of conditions is adjacent,
+    once for even n and twice for odd n. The first sequence zigzags 0, 1, n-1, 2, n-2, ...; the others add 1 modulo n.
+    With odd n, the zigzag alone favours one direction of each pair, so every sequence is used backwards as well.
+
+    Examples
+    --------
+    >>> [williams_row(4, number) for number in range(count_rows(4))]
+    [(0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1)]
+    """
+    shift = number % n
+    zigzag = ((place + 1) // 2 if place % 2 else -place // 2 for place in range(n))
+    row = tuple((step + shift) % n for step in zigzag)
+    return row[::-1] if number >= n else row
+
+
+# What is compared with what.
 
 
 def find_catch(item: Item, reference: Item | None) -> str:
@@ -277,13 +306,17 @@ def score_abx(judgement: Judgement, answer: float | str, parts: Mapping[str, str
     return RIGHT if parts[chosen] == parts[judgement.part] else WRONG
 
 
-def compare_triplets(items: Items, task: Task) -> Comparisons:
-    """Compare pairs of a level arm's stimuli by their likeness to the reference."""
+def compare_choices(items: Items, task: Task) -> Comparisons:
+    """Compare pairs of a level arm's stimuli: by preference, or by their likeness to the reference of a triplet."""
     comparisons: list[Comparison] = []
     for arm in split_arms(items):
-        original, tests = _find_original(arm), _select(arm, "test")
+        original = find_reference(arm[0], arm) if _select(arm, "reference") else None
+        tests = _select(arm, "test")
         felt = [*filter(None, [original]), *tests]
-        if task.reference == EVERY:
+        if task.protocol == "preference":
+            before = _touch_first(arm[0].recording, task)
+            comparisons += _pair_up(felt, task, before=before)
+        elif task.reference == EVERY:
             # Each test stimulus and the recording itself is the reference in turn, of pairs of the others.
             for reference in felt:
                 others = [item for item in felt if item != reference]
@@ -295,24 +328,11 @@ def compare_triplets(items: Items, task: Task) -> Comparisons:
             before = (part,)
             comparisons += _pair_up([t for t in tests if t != found], task, before=before)
             original = found or original
-        comparisons += _catch_out(arm, original, before=before)
+        for place, anchor in enumerate(_select(arm, "anchor") if original else ()):
+            pair = (original.stimulus_id if original else "", anchor.stimulus_id)
+            catch = _pose_choice(*pair, before=before, expected=(RIGHT, RIGHT), catch="anchor")
+            comparisons.append(arrange_pair(catch, place))
     return tuple(comparisons)
-
-
-def compare_preferences(items: Items, task: Task) -> Comparisons:
-    """Compare pairs of a level arm's stimuli, the recording itself among them, by preference."""
-    comparisons: list[Comparison] = []
-    for arm in split_arms(items):
-        original, before = _find_original(arm), _touch_first(arm[0].recording, task)
-        felt = [*filter(None, [original]), *_select(arm, "test")]
-        comparisons += _pair_up(felt, task, before=before)
-        comparisons += _catch_out(arm, original, before=before)
-    return tuple(comparisons)
-
-
-def _find_original(arm: Items) -> Item | None:
-    """Find the recording itself, which a set may lack."""
-    return find_reference(arm[0], arm) if _select(arm, "reference") else None
 
 
 def _pair_up(
@@ -327,18 +347,6 @@ def _pair_up(
     key = f"{stimuli[-1].recording} {stimuli[-1].level} {_name_reference(before)}"
     for one, other in choose_pairs(len(stimuli), task.pairs, key=key):
         yield _pose_choice(stimuli[one].stimulus_id, stimuli[other].stimulus_id, before=before)
-
-
-def _catch_out(
-    arm: Items, original: Item | None, *, before: tuple[Part, ...]
-) -> Iterator[Comparison]:
-    """Compare the recording itself with each anchor; which of them comes first alternates."""
-    if original is None:
-        return
-    for place, anchor in enumerate(_select(arm, "anchor")):
-        pair = (original.stimulus_id, anchor.stimulus_id)
-        one = _pose_choice(*pair, before=before, expected=(RIGHT, RIGHT), catch="anchor")
-        yield arrange_pair(one, place)
 
 
 def _name_reference(before: Sequence[Part]) -> str | None:
@@ -387,31 +395,24 @@ def choose_pairs(n: int, count: int | None, *, key: str) -> tuple[tuple[int, int
     possible (from n - 1 pairs). The key decides which thing has which place.
     """
     names = sorted(range(n), key=lambda place: sha256(f"{key} {place}".encode()).digest())
-    pairs = (
-        (names[one], names[other]) for one, other in (_pair_rounds if n % 2 else _pair_matches)(n)
-    )
+    pairs = ((names[one], names[other]) for one, other in _list_pairs(n))
     return tuple(sorted((min(pair), max(pair)) for pair in islice(pairs, count)))
 
 
-def _pair_matches(n: int) -> Iterator[tuple[int, int]]:
-    """List the pairs of an even number of things, match by match: each thing is in each match once.
+def _list_pairs(n: int) -> Iterator[tuple[int, int]]:
+    """List all pairs, so that the first ones are spread evenly over the things.
 
-    The circle method of tournaments; two matches in a row make one circle through all things.
+    Of an even number match by match, each thing in each match once (the circle method of tournaments; two matches in a
+    row make one circle through all things). Of an odd number circle by circle through all of them, in Walecki's way: of
+    each circle every other pair comes first, then the one with the thing that was left over, then the others.
     """
     last = n - 1
-    for turn in range(last):
-        yield last, turn
-        yield from (((turn + step) % last, (turn - step) % last) for step in range(1, n // 2))
-
-
-def _pair_rounds(n: int) -> Iterator[tuple[int, int]]:
-    """List the pairs of an odd number of things, circle by circle through all of them, in Walecki's way.
-
-    Of each circle every other pair comes first, then the one with the thing that was left over, then the others.
-    """
-    last = n - 1
-    zigzag = williams_row(last, 0)
+    if n % 2 == 0:
+        for turn in range(last):
+            yield last, turn
+            yield from (((turn + step) % last, (turn - step) % last) for step in range(1, n // 2))
+        return
     for turn in range(last // 2):
-        circle = [last, *((step + turn) % last for step in zigzag)]
+        circle = [last, *((step + turn) % last for step in williams_row(last, 0))]
         for place in (*range(0, last, 2), last, *range(1, last, 2)):
             yield circle[place], circle[(place + 1) % n]

@@ -1,16 +1,16 @@
-"""Orders of trials: Williams squares, blocks, random orders, and rehearsals (training and practice)."""
+"""Orders of trials: Williams squares, blocks, random orders, rehearsals, and how balanced the orders of people are."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby, pairwise
-from math import gcd
+from itertools import chain, groupby, pairwise
+from math import gcd, sqrt
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from feel321.doors import Registry, as_rng, check_name, describe
-from feel321.protocols.balance import MIXABLE, count_rows, shuffle_rows, williams_row
+from feel321.protocols.compare import count_rows, williams_row
 from feel321.protocols.tasks import PROTOCOLS, make_task
 from feel321.protocols.trial import (
     RATING_RANGE,
@@ -24,7 +24,6 @@ from feel321.protocols.trial import (
 
 if TYPE_CHECKING:
     from numpy.random import Generator
-    from pandas import DataFrame
 
     from feel321.types import Rng
 
@@ -103,6 +102,10 @@ def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) ->
         yield tuple(blocks)
 
 
+MIXABLE = 3
+"""Fewest rows that go in a circle so that none begins with the condition that the one before ended with."""
+
+
 def _take_row(
     n: int, rows: Sequence[int], start: int, *, turn: int, touching: bool
 ) -> tuple[int, ...]:
@@ -115,6 +118,20 @@ def _find_stride(n_rows: int, n_used: int) -> int:
     """Find the step next to `n_used` that reaches all rows, going round and round."""
     steps = (step for step in range(1, n_rows + 1) if gcd(step, n_rows) == 1)
     return min(steps, key=lambda step: min((step - n_used) % n_rows, (n_used - step) % n_rows))
+
+
+def shuffle_rows(n: int, rng: Generator) -> list[int]:
+    """Shuffle the numbers of a square's rows so that no row ends with the condition that the next one begins with."""
+    middle = williams_row(n, 0)[-1]
+    ends = [(shift, (middle + shift) % n) for shift in range(n)]
+    ends += [end[::-1] for end in ends] if count_rows(n) > n else []
+    while True:
+        order: list[int] = rng.permutation(len(ends)).tolist()
+        # About e**-1 of all orders pass for even and e**-2 for odd n, so a few draws do.
+        if len(order) < MIXABLE or all(
+            ends[this][1] != ends[after][0] for this, after in pairwise((*order, order[0]))
+        ):
+            return order
 
 
 def _order_blocked(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
@@ -272,7 +289,7 @@ ORDERS: Registry[Callable[..., Iterable[Blocks]]] = Registry(
 
 
 def make_order(
-    items: Sequence[Item] | DataFrame,
+    items: Sequence[Item],
     tasks: Sequence[Task | str],
     *,
     number: int,
@@ -288,8 +305,8 @@ def make_order(
 
     Parameters
     ----------
-    items : sequence of Item, or DataFrame
-        All stimuli of the set; a table has the columns `stimulus_id, recording, reducer, level, role`.
+    items : sequence of Item
+        All stimuli of the set.
     tasks : sequence of Task or str
         The sections of the session, in order: tasks, or names of protocols.
     number : int
@@ -316,13 +333,8 @@ def make_order(
 
     Notes
     -----
-    Williams squares [1]_: participants 1, 2, ... take successive rows, in which each comparison follows each other
-    one equally often.
-
-    References
-    ----------
-    .. [1] Williams, E. J. (1949). Experimental designs balanced for the estimation of residual effects of
-       treatments. Australian Journal of Scientific Research A, 2, 149-168. doi:10.1071/CH9490149
+    Williams squares (`compare.williams_row`): participants 1, 2, ... take successive rows, in which each comparison
+    follows each other one equally often.
 
     Examples
     --------
@@ -340,7 +352,7 @@ def make_order(
     if isinstance(tasks, str | Task):
         raise TypeError(f"tasks must be a list, got {describe(tasks)}; write [{tasks!r}]")
     own = [make_task(task) if isinstance(task, str) else task for task in tasks]
-    sections = _gather_trials(_as_items(items), own)
+    sections = _gather_trials(items, own)
     rounds = [(section, repeat) for section in sections for repeat in range(1, repeats + 1)]
     groups = [section.groups for section, _ in rounds]
     ordered = ORDERS[order](groups, number=number, rng=as_rng(rng))
@@ -353,15 +365,6 @@ def make_order(
                 draft = section.draft_trial(spot, turn=number + repeat - 1)
                 trials.append(replace(draft, number=len(trials) + 1, block=place, repeat=repeat))
     return Trials(trials)
-
-
-def _as_items(items: Any) -> Sequence[Item]:  # noqa: ANN401 - what make_order takes
-    if isinstance(items, Sequence):
-        return items
-    table = items.to_frame() if hasattr(items, "to_frame") else items  # a stimulus set
-    if missing := [name for name in Item.__slots__ if name not in table.columns]:
-        raise ValueError(f"items must have the columns {', '.join(missing)}; add them")
-    return [Item(*row) for row in table[list(Item.__slots__)].itertuples(index=False)]
 
 
 def select_share(
@@ -501,3 +504,84 @@ def _choose(
         sides_used[sides.get(best, "")] += 1
         recordings_used[best[0]] += 1
     return chosen
+
+
+# How balanced the orders of several participants are.
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """How often conditions met places, or each other; what never met counts 0 and takes no memory.
+
+    possible: what each condition may meet besides itself.
+    """
+
+    seen: Counter[tuple[str, Any]]
+    possible: Mapping[str, Collection[Any]]
+
+    @property
+    def size(self) -> int:
+        """Number of pairs that could meet."""
+        return sum(len(others) - (one in others) for one, others in self.possible.items())
+
+    def find_ends(self) -> tuple[int, int]:
+        """Find the lowest and the highest count; 0 where nothing could meet."""
+        lowest = min(self.seen.values(), default=0) if len(self.seen) == self.size else 0
+        return lowest, max(self.seen.values(), default=0)
+
+    def measure_variation(self) -> float:
+        """Coefficient of variation: 0 for perfect balance; about sqrt((m - 1) / k) for k random orders of m."""
+        if not (total := self.seen.total()):
+            return 0.0
+        size = self.size
+        mean, missing = total / size, size - len(self.seen)
+        squares = sum((count - mean) ** 2 for count in self.seen.values()) + missing * mean**2
+        return sqrt(squares / size) / mean
+
+
+@dataclass(frozen=True, slots=True)
+class Balance:
+    """How evenly conditions met positions (from 1), and were followed at once by each other; repeats: by themselves."""
+
+    positions: Counts
+    carry_over: Counts
+    repeats: int
+
+
+def measure_balance(sequences: Sequence[Sequence[str]]) -> Balance:
+    """Measure the balance of conditions over the sequences of participants; those that broke off are shorter.
+
+    Examples
+    --------
+    >>> balance = measure_balance(["ABDC", "BCAD", "CDBA", "DACB"])
+    >>> balance.positions.find_ends(), balance.carry_over.find_ends()
+    ((1, 1), (1, 1))
+    """
+    conditions = dict.fromkeys(sorted(set(chain.from_iterable(sequences))))
+    if not conditions:
+        raise ValueError("sequences must hold at least one condition that was run, got none")
+    places = range(1, max(map(len, sequences)) + 1)
+    positions = Counter(spot for own in sequences for spot in zip(own, places, strict=False))
+    neighbours = Counter(pair for own in sequences for pair in pairwise(own))
+    repeats = sum(neighbours.pop((condition, condition), 0) for condition in conditions)
+    carry_over = Counts(neighbours, dict.fromkeys(conditions, conditions))
+    return Balance(Counts(positions, dict.fromkeys(conditions, places)), carry_over, repeats)
+
+
+def pool_balances(balances: Iterable[Balance]) -> Balance:
+    """Pool the balances of one or more groups of conditions, such as those of each recording."""
+    pooled = tuple(balances)
+    positions = _pool([one.positions for one in pooled])
+    carry_over = _pool([one.carry_over for one in pooled])
+    return Balance(positions, carry_over, sum(one.repeats for one in pooled))
+
+
+def _pool(several: Sequence[Counts]) -> Counts:
+    seen: Counter[tuple[str, Any]] = Counter()
+    possible: dict[str, Collection[Any]] = {}
+    for counts in several:
+        seen.update(counts.seen)
+        for one, others in counts.possible.items():
+            known = possible.get(one)
+            possible[one] = others if known is None else dict.fromkeys(chain(known, others))
+    return Counts(seen, possible)

@@ -70,6 +70,15 @@ class Protocol:
 
 
 _STIMULUS, _PAIR = ("recording", "reducer", "level"), ("recording", "pair", "level")
+_CHOICE = Protocol(
+    "preference",
+    _PAIR,
+    compare.compare_choices,
+    arrange=compare.arrange_pair,
+    score=compare.score_pair,
+    choices=compare.CHOICES,
+    some_pairs=True,
+)
 _ALL = (
     Protocol("realism", _STIMULUS, compare.compare_realism),
     Protocol(
@@ -106,25 +115,8 @@ _ALL = (
         score=compare.score_abx,
         choices=compare.CHOICES,
     ),
-    Protocol(
-        "triplet",
-        _PAIR,
-        compare.compare_triplets,
-        references=(ORIGINAL, SURFACE, "reducer", compare.EVERY),
-        arrange=compare.arrange_pair,
-        score=compare.score_pair,
-        choices=compare.CHOICES,
-        some_pairs=True,
-    ),
-    Protocol(
-        "preference",
-        _PAIR,
-        compare.compare_preferences,
-        arrange=compare.arrange_pair,
-        score=compare.score_pair,
-        choices=compare.CHOICES,
-        some_pairs=True,
-    ),
+    replace(_CHOICE, name="triplet", references=(ORIGINAL, SURFACE, "reducer", compare.EVERY)),
+    _CHOICE,
 )
 PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
 """Name -> protocol, the only list of names. Later ones are added, none renamed."""
@@ -133,6 +125,15 @@ PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
 def digest_protocols(names: Iterable[str]) -> dict[str, str]:
     """Return the digests of those protocols that are a lab's own, as plans and journals name them."""
     return {f"protocol.{name}": own for name in names if (own := PROTOCOLS[name].sha256)}
+
+
+# The options of a task.
+
+MOST_SCALES = 4
+"""Scales of a trial: more do not fit on one screen."""
+
+TIMES = {"gap_s": (0.0, 30.0), "answer_timeout_s": (0.5, 600.0), "onset_s": (0.5, 600.0)}
+"""The shortest and the longest time of each option, in s."""
 
 
 def make_task(  # noqa: PLR0913 - the options that a task has
@@ -184,8 +185,8 @@ def make_task(  # noqa: PLR0913 - the options that a task has
     check_name(timing, protocol.timings, f"tasks.{name}.timing")
     if reference is None:
         reference = next(iter(protocol.references), ORIGINAL)
-    else:
-        _check_reference(protocol, reference)
+    elif fault := _find_reference_fault(protocol, reference):
+        raise ValueError(f"tasks.{name}.reference must {fault}")
     if surface and protocol.references:
         instead = f", or set reference = {SURFACE!r}" if SURFACE in protocol.references else ""
         raise ValueError(
@@ -206,25 +207,14 @@ def make_task(  # noqa: PLR0913 - the options that a task has
     return Task(name, timing, reference, surface, training, practice, pairs)
 
 
-def _check_reference(protocol: Protocol, reference: str) -> None:
-    key = f"tasks.{protocol.name}.reference"
+def _find_reference_fault(protocol: Protocol, reference: str) -> str:
     if not protocol.references:
-        raise ValueError(
-            f"{key} must not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
-        )
+        return f"not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
     kind = reference if reference in {ORIGINAL, SURFACE, compare.EVERY} else "reducer"
-    if not reference or kind not in protocol.references:
-        allowed = ", ".join(protocol.references).replace("reducer", "the name of a reducer")
-        raise ValueError(f"{key} must be one of {allowed}; got {reference!r}")
-
-
-# Options of any task: several scales in each trial, and the pace of its trials.
-
-MOST_SCALES = 4
-"""Scales of a trial: more do not fit on one screen."""
-
-TIMES = {"gap_s": (0.0, 30.0), "answer_timeout_s": (0.5, 600.0), "onset_s": (0.5, 600.0)}
-"""The shortest and the longest time of each option, in s."""
+    if reference and kind in protocol.references:
+        return ""
+    allowed = ", ".join(protocol.references).replace("reducer", "the name of a reducer")
+    return f"be one of {allowed}; got {reference!r}"
 
 
 def refine_task(
@@ -251,15 +241,14 @@ def refine_task(
             "time; leave it out"
         )
     asked = () if [*scales] == [PROTOCOLS[task.protocol].scale] else tuple(scales)
-    if asked and (fault := _find_fault(task, asked)):
+    if asked and (fault := _find_scales_fault(task, asked)):
         raise ValueError(f"tasks.{task.protocol}.scales must {fault}")
     return replace(
         task, scales=asked, gap_s=gap_s, answer_timeout_s=answer_timeout_s, onset_s=onset_s
     )
 
 
-def _find_fault(task: Task, scales: tuple[str, ...]) -> str:
-    """Find what is wrong with several scales of a task."""
+def _find_scales_fault(task: Task, scales: tuple[str, ...]) -> str:
     own, got = PROTOCOLS[task.protocol].scale, f"got {list(scales)}"
     able = [name for name, one in PROTOCOLS.items() if not one.choices and FREE not in one.timings]
     if task.protocol not in able:
@@ -280,38 +269,7 @@ def _find_fault(task: Task, scales: tuple[str, ...]) -> str:
 
 
 def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, float]:
-    """Score the answers to a trial.
-
-    Parameters
-    ----------
-    trial : Trial
-        The trial.
-    values : mapping of str to float or str
-        The answer to each of its judgements, by the part that is judged.
-
-    Returns
-    -------
-    dict of str to float
-        Points, 0 to 100, by the part that is judged (and the scale), in the trial's order.
-
-    Raises
-    ------
-    KeyError
-        If a judgement has no answer.
-
-    Examples
-    --------
-    >>> from feel321 import protocols
-    >>> oak = [
-    ...     protocols.Item("oak-original", "oak", "original", "as_is", "reference"),
-    ...     protocols.Item("oak-dft321", "oak", "dft321", "as_is", "test"),
-    ... ]
-    >>> (trial,) = protocols.make_order(oak, ["abx"], number=1)
-    >>> [part.stimulus_id for part in trial.parts]
-    ['oak-original', 'oak-dft321', 'oak-original']
-    >>> protocols.score_trial(trial, {"x": "a"})
-    {'x': 100.0}
-    """
+    """Score the answers to a trial: 0 to 100 points of each judgement, in the trial's order; values: by `judged`."""
     protocol = PROTOCOLS[trial.protocol]
     parts = {part.name: part.stimulus_id for part in trial.parts}
     return {j.key: protocol.score(j, values[j.key], parts) for j in trial.judgements}

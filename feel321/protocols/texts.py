@@ -1,24 +1,32 @@
-"""The texts for participants: one TOML file per language in `catalog/`, or a file of the lab's own.
+"""What participants read: texts, one TOML file per language in `catalog/` or a file of the lab's own; and questions.
 
 Every language has the keys, lists and {placeholders} of the English one. A lab's own file may hold only the texts that
 it changes; it is checked when it is read, so that no gap turns up in the middle of a session.
+
+A question is a page of its own: a choice of one option, a number, a text, or a Likert item, whose ordered points have
+words at the ends at least and whose answer is the number of the point, from 1. Its texts are stored in the plan as they
+are shown, so that a journal can be read without the language's file.
 """
 
 from __future__ import annotations
 
 import os
+import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.resources import files
+from math import inf
+from numbers import Real
 from pathlib import Path
 from string import Formatter
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from feel321 import intake
 from feel321.doors import check_name
-from feel321.protocols.trial import Scale
+from feel321.protocols.trial import Page, Scale
 
 if TYPE_CHECKING:
     from feel321.types import PathLike
@@ -34,13 +42,10 @@ COPY_FILE = "texts.toml"
 MOST_GUESSES = 20
 """So many unknown texts are told what they may have meant: each takes some milliseconds."""
 
-SCALE = {"question", "low_label", "high_label"}
-"""The texts of a scale; it may have `anchors` too."""
-
 
 @dataclass(frozen=True, slots=True)
 class PageText:
-    """Headline and text of a page; `{done}` and `{total}` stand for numbers of trials."""
+    """Headline and text of a page; `{answered}` and `{total}` stand for numbers of trials."""
 
     key: str
     title: str
@@ -53,31 +58,7 @@ def list_languages() -> tuple[str, ...]:
 
 
 def read_scales(language: str | PathLike = MODEL) -> dict[str, Scale]:
-    """Read the texts of all scales.
-
-    Parameters
-    ----------
-    language : str or path
-        Language code of the catalogue, or a TOML file of the same form.
-
-    Returns
-    -------
-    dict of str to Scale
-        The scales by name.
-
-    Raises
-    ------
-    ValueError
-        If there is no such language, or the file is not complete.
-    OSError
-        If the file cannot be read.
-
-    Examples
-    --------
-    >>> from feel321 import protocols
-    >>> protocols.read_scales("en")["similarity"].high_label
-    'Identical'
-    """
+    """Read the texts of all scales, by name."""
     return make_scales(read_texts(language))
 
 
@@ -98,28 +79,26 @@ def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
     path = Path(language)
     own, base = _parse_own(path)
     texts = _merge(base, own)
-    if gaps := find_gaps(_leave_out_own_scales(texts), read_texts()):
-        known = [place for place, _ in _flatten(base)]
-        unknown = [gap for gap in gaps if " is not a known text" in gap][:MOST_GUESSES]
-        lines = []
-        for gap in gaps:
-            place = gap.partition(" is not a known text")[0]
-            near = get_close_matches(place, known, n=1, cutoff=0.5) if gap in unknown else []
-            hint = f", did you mean {near[0]}?" if near else ""
-            lines.append(f"{path}: {gap}{hint}; compare protocols/catalog/{MODEL}.toml")
+    known, lines = [place for place, _ in _flatten(base)], []
+    for count, (place, fault) in enumerate(find_gaps(_leave_out_own(texts), read_texts())):
+        is_unknown = place not in known and count < MOST_GUESSES
+        near = get_close_matches(place, known, n=1, cutoff=0.5) if is_unknown else []
+        hint = f", did you mean {near[0]}?" if near else ""
+        lines.append(f"{path}: {place} {fault}{hint}; compare protocols/catalog/{MODEL}.toml")
+    if lines:
         raise ValueError("\n".join(lines))
     return texts
 
 
-def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> list[str]:
-    """Compare the texts of a language with those of another."""
+def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Compare the texts of a language with those of another: places, and what is wrong with them."""
     own, wanted = dict(_flatten(texts)), dict(_flatten(model))
-    faults = (_find_fault(place, own[place], wanted[place]) for place in wanted if place in own)
-    return [
-        *filter(None, faults),
-        *(f"{place} is missing" for place in wanted if place not in own),
-        *(f"{place} is not a known text" for place in own if place not in wanted),
-    ]
+    for place, model_text in wanted.items():
+        if place not in own:
+            yield place, "is missing"
+        elif fault := _find_fault(place, own[place], model_text):
+            yield place, fault
+    yield from ((place, "is not a known text") for place in own if place not in wanted)
 
 
 def list_borrowed(path: Path) -> list[str]:
@@ -145,33 +124,26 @@ language = "{language}"  # of all that is not changed here
     return "\n".join([head, *lines, ""])
 
 
-def _leave_out_own_scales(texts: dict[str, Any]) -> dict[str, Any]:
+def _leave_out_own(texts: dict[str, Any]) -> dict[str, Any]:
     """Leave out scales of a lab's own that have all their texts, and the pages of its own protocols."""
     scales, pages = texts["scales"], texts["pages"]
     if not isinstance(scales, dict) or not isinstance(pages, dict):
         return texts
     known = read_texts()["scales"]
-    own = {name for name, entry in scales.items() if name not in known and _is_scale(entry)}
-    own_pages = {
-        key
-        for key, entry in pages.items()
-        if key.removeprefix("instructions.") in own
-        and isinstance(entry, dict)
-        and entry.keys() == {"title", "text"}
-        and not any(_find_fault("", text, "") for text in entry.values())
-    }
+    model: dict[str, object] = {"question": "", "low_label": "", "high_label": ""}
+
+    def is_whole(entry: object, model: dict[str, object]) -> bool:
+        if not isinstance(entry, dict) or not model.keys() <= entry.keys() <= {*model, "anchors"}:
+            return False
+        return not any(_find_fault("", text, "") for _, text in _flatten(entry))
+
+    own = {name for name in scales if name not in known and is_whole(scales[name], model)}
+    own_pages = {f"instructions.{name}" for name in own}
+    shown = {k for k in pages if k in own_pages and is_whole(pages[k], {"title": "", "text": ""})}
     return texts | {
         "scales": {name: entry for name, entry in scales.items() if name not in own},
-        "pages": {key: entry for key, entry in pages.items() if key not in own_pages},
+        "pages": {key: entry for key, entry in pages.items() if key not in shown},
     }
-
-
-def _is_scale(entry: object) -> bool:
-    if not isinstance(entry, dict) or not SCALE <= entry.keys() <= SCALE | {"anchors"}:
-        return False
-    anchors = entry.get("anchors", ["-"])
-    words = [*(entry[name] for name in SCALE), *(anchors if isinstance(anchors, list) else [0])]
-    return all(isinstance(word, str) and word.strip() for word in words)
 
 
 def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -214,13 +186,13 @@ def _flatten(texts: object, place: str = "") -> Iterator[tuple[str, object]]:
 
 def _find_fault(place: str, text: object, model: object) -> str:
     if not isinstance(text, str) or not text.strip():
-        return f"{place} must be a text, got {text!r}"
+        return f"must be a text, got {text!r}"
     if ".choices[" in place and text != model:
-        return f"{place} must be {model!r}, got {text!r}: choices are names of parts, the same in every language"
+        return f"must be {model!r}, got {text!r}: choices are names of parts, the same in every language"
     got, wanted = _list_placeholders(text), _list_placeholders(str(model))
     if got == wanted:
         return ""
-    return f"{place} must have {f'the placeholders {wanted}' if wanted else 'no placeholders'}, got {got or 'none'}"
+    return f"must have {f'the placeholders {wanted}' if wanted else 'no placeholders'}, got {got or 'none'}"
 
 
 def _list_placeholders(text: str) -> str:
@@ -229,3 +201,159 @@ def _list_placeholders(text: str) -> str:
     except ValueError as error:
         return str(error)
     return ", ".join(sorted(f"{{{name}}}" for name in names))
+
+
+# Question pages.
+
+KINDS = ("choice", "number", "text", "likert")
+"""Kinds of questions."""
+
+TIMES = ("before", "between", "after")
+"""When a question is asked: after the consent, before each rest between trials, or at the end."""
+
+READY: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType({
+    "demographics": {
+        "age": {"kind": "number", "low": 5.0, "high": 120.0},
+        "gender": {"kind": "choice"},
+        "handedness": {"kind": "choice"},
+        "touch": {"kind": "choice"},
+        "experience": {"kind": "choice"},
+    }
+})
+"""Ready question pages, by name: their questions, without the texts, which every language of the catalogue holds."""
+
+PREFIX = "question."
+"""What the key of a question's page begins with; its name follows."""
+
+LABEL = re.compile(r"[a-z][a-z0-9_]{0,39}")
+"""Names of questions and of a lab's own scales: they stand in tables."""
+
+LEAST_OPTIONS, MOST_OPTIONS = 2, 9  # each has a digit
+MOST_QUESTIONS = 60
+MOST_LETTERS = 500  # of a text, which is shown on one screen
+
+Answer = float | str | None
+"""An option, a number, a text, the number of a point; None where the question was left open."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A question page.
+
+    name: as in `answers.csv`. kind: `choice`, `number`, `text` or `likert`. options: what can be chosen; the words of a
+    Likert item's points, empty where a point has none. low, high: least and largest number, None for any. personal:
+    whether the answer is personal data, which journal and table then mark so. required: whether it must be answered.
+    """
+
+    name: str
+    kind: str
+    question: str
+    options: tuple[str, ...] = ()
+    low: float | None = None
+    high: float | None = None
+    when: str = TIMES[0]
+    personal: bool = False
+    required: bool = True
+
+    @property
+    def key(self) -> str:
+        """The key of its page."""
+        return f"{PREFIX}{self.name}"
+
+    @property
+    def choices(self) -> tuple[float | str | None, ...]:
+        """The answers to choose from: options, or numbers of points from 1; empty where an answer is typed."""
+        if self.kind == "likert":
+            return tuple(float(point) for point in range(1, len(self.options) + 1))
+        return self.options
+
+    def find_fault(self, answer: float | str | None) -> str:
+        """Check an answer: `unanswered`, `out_of_range`, `too_long` or `not_offered`; empty if it is one."""
+        if answer is None or answer == "":
+            return "unanswered" if self.required else ""
+        if self.choices:
+            return "" if answer in self.choices else "not_offered"
+        if self.kind == "text":
+            is_text = isinstance(answer, str) and answer.isprintable() and bool(answer.strip())
+            return "" if is_text and len(str(answer)) <= MOST_LETTERS else "too_long"
+        is_number = isinstance(answer, Real) and not isinstance(answer, bool)
+        low, high = -inf if self.low is None else self.low, inf if self.high is None else self.high
+        return "" if is_number and low <= float(answer) <= high else "out_of_range"
+
+    def describe_range(self) -> str:
+        """Describe the numbers that are answers, such as `18 – 99`, or `≥ 18` where there is no largest."""
+        ends = ["" if end is None else f"{end:g}" for end in (self.low, self.high)]
+        if all(ends):
+            return " – ".join(ends)
+        return f"≥ {ends[0]}" if ends[0] else f"≤ {ends[1]}" if ends[1] else "0–9 . -"
+
+
+def check_label(name: str) -> str:
+    """Demand a name that can stand in a table."""
+    if not LABEL.fullmatch(name):
+        raise ValueError(
+            "must be up to 40 lower-case letters (a-z), digits and _, beginning with a letter"
+        )
+    return name
+
+
+def check_question(question: Question) -> None:
+    """Refuse a question that nobody could answer."""
+    kind, low, high = question.kind, question.low, question.high
+    options, named = question.options, [text for text in question.options if text.strip()]
+    has_options, is_number = kind in {"choice", "likert"}, kind == "number"
+    check_name(kind, KINDS, "kind")
+    check_name(question.when, TIMES, "when")
+    faults = {
+        "question must be what the participant reads, got nothing; write question = '...'": (
+            not question.question.strip()
+        ),
+        f"options must be {LEAST_OPTIONS} to {MOST_OPTIONS} texts for kind {kind!r}, got {len(options)}": (
+            has_options and not LEAST_OPTIONS <= len(options) <= MOST_OPTIONS
+        ),
+        "options must be different texts, none of them empty": (
+            kind == "choice" and len(set(named)) < len(options)
+        ),
+        "options must name both ends; set low and high, or every option": (
+            kind == "likert" and not all(text.strip() for text in (*options[:1], *options[-1:]))
+        ),
+        f"options must be left out for kind {kind!r}, got {len(options)}; remove them": (
+            not has_options and bool(options)
+        ),
+        f"low and high must not be numbers for kind {kind!r}; use kind 'number', or remove them": (
+            not is_number and (low is not None or high is not None)
+        ),
+        f"low must be below high, got {low or 0:g} and {high or 0:g}": (
+            low is not None and high is not None and low >= high
+        ),
+    }
+    if fault := next((words for words, holds in faults.items() if holds), ""):
+        raise ValueError(fault)
+
+
+def read_ready(name: str, texts: Mapping[str, Any], *, when: str = TIMES[0]) -> list[Question]:
+    """Read the questions of a ready page, which are personal and may be left open; texts: all of a language."""
+    own = texts["questions"][check_name(name, READY, "use")]
+    return [
+        Question(
+            key,
+            question=own[key]["question"],
+            options=tuple(own[key].get("options", ())),
+            when=when,
+            personal=True,
+            required=False,
+            **facts,
+        )
+        for key, facts in READY[name].items()
+    ]
+
+
+def list_pages(questions: Iterable[Question], when: str) -> list[Page]:
+    """List the pages of the questions that are asked at a time."""
+    return [Page(question.key) for question in questions if question.when == when]
+
+
+def find_question(questions: Iterable[Question], page: Page | str) -> Question | None:
+    """Find the question of a page; None where it asks nothing."""
+    key = page if isinstance(page, str) else page.key
+    return next((question for question in questions if question.key == key), None)

@@ -28,13 +28,20 @@ ORIGINAL = "original"
 """Name of the recording itself as a reference."""
 
 MATCHING = "matching"
-"""Protocol, scale and phase of the trials of a matching block (`protocols.blocks`)."""
+"""Protocol, scale and phase of the trials of a matching block (`protocols.threshold`)."""
 
 THRESHOLD = "threshold"
 """Protocol, scale and phase of the trials of a threshold block; its practice has the phase of all practice."""
 
-FLAGS = ("underrun", "clipped", "device_error", "not_delivered", "too_fast", "not_felt")
-"""What can be wrong with an attempt at a trial."""
+DEVICE_FLAGS = ("underrun", "clipped", "device_error", "not_delivered")
+FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")
+"""What can be wrong with an attempt at a trial: by the device, or by the participant."""
+
+VALID, LOST, SPOILED = "valid", "lost", "spoiled"
+"""What becomes of an attempt. The device lost it, which uses up no attempt of the participant, or they spoiled it."""
+
+MOST_LOST = 12
+"""A trial that the device lost so often is given up all the same: then the stimulus is to blame, or nobody listens."""
 
 ASIDE = ("ready", "call_us", "timed_out")
 """Pages that no plan holds: they wait for the participant after an interruption or an answer that did not come in time,
@@ -45,20 +52,8 @@ or for the experimenter after a failure of the device, and change nothing about 
 class Scale:
     """The scale of an answer: a slider from 0 to 100 points, or a choice between parts.
 
-    Parameters
-    ----------
-    name : str
-        Short name, as in `ratings.csv`.
-    question : str
-        The question to the participant.
-    low_label, high_label : str
-        Meaning of 0 and of 100 points.
-    anchors : tuple of str
-        Words along the slider, evenly spaced from 0 to 100; may be none.
-    choices : tuple of str
-        Names of the parts to choose from; none where there is a slider.
-    further : tuple of Scale
-        The other scales of the same trial, where it asks for several.
+    name: as in `ratings.csv`. anchors: words along the slider, evenly spaced; may be none. choices: names of the parts
+    to choose from; none where there is a slider. further: the other scales of a trial that asks for several.
     """
 
     name: str
@@ -70,18 +65,7 @@ class Scale:
     further: tuple[Scale, ...] = ()
 
     def find(self, name: str) -> Scale:
-        """Find the scale of a judgement.
-
-        Parameters
-        ----------
-        name : str
-            Its name; empty for the trial's own.
-
-        Returns
-        -------
-        Scale
-            This one, or one of the others of the same trial.
-        """
+        """Find the scale of a judgement: one of the others of its trial, or this one."""
         return next((scale for scale in self.further if scale.name == name), self)
 
 
@@ -176,30 +160,11 @@ class Comparison:
 class Trial:
     """One comparison at its place in the session of one participant.
 
-    Parameters
-    ----------
-    number : int
-        Its number in the plan. Trials of the main phase are numbered from 1 in their order, others follow.
-    block : int
-        Number of its block in the plan, from 1; 0 in training and practice.
-    repeat : int
-        Round of this comparison within its protocol, from 1; 0 outside the main phase.
-    protocol : str
-        Name of the protocol.
-    scale : str
-        Name of the scale.
-    timing : str
-        How its parts are felt: `strict`, `replay` or `free`.
-    recording : str
-        The recording that it is about.
-    parts : tuple of Part
-        The stimuli or surfaces to feel, in order. Each must be felt to its end before an answer is taken.
-    judgements : tuple of Judgement
-        The answers to give.
-    phase : str
-        `training`, `practice`, `threshold`, `matching` or `main`; only trials of the main phase become ratings.
-    catch : str
-        `identical`, `hidden_reference` or `anchor` where the right answer is known; else empty.
+    number: in the plan; trials of the main phase are numbered from 1 in their order, others follow. block: from 1; 0 in
+    training and practice. repeat: round of this comparison within its protocol, from 1; 0 outside the main phase.
+    timing: of `TIMINGS`. parts: in order; each must be felt to its end before an answer is taken. phase: `training`,
+    `practice`, `threshold`, `matching` or `main`; only trials of the main phase become ratings. catch: as in
+    `Comparison`.
     """
 
     number: int
@@ -216,27 +181,12 @@ class Trial:
 
     @property
     def judged(self) -> list[str]:
-        """Names of the answers: of the parts that are judged, each followed by a scale that is not the trial's own.
-
-        Returns
-        -------
-        list of str
-            In the order of the judgements, such as `test` and `test:roughness`.
-        """
+        """Names of the answers, such as `test` and `test:roughness`: parts, and scales beyond the trial's own."""
         return [judgement.key for judgement in self.judgements]
 
 
 class Trials(tuple[Trial, ...]):
-    """The trials of one participant, in order: a tuple, with a table of them.
-
-    Examples
-    --------
-    >>> from feel321 import protocols
-    >>> oak = protocols.Item("oak-dft321", "oak", "dft321", "as_is", "test")
-    >>> trials = protocols.make_order([oak], ["realism"], number=1, repeats=2)
-    >>> trials.to_frame()[["number", "repeat", "stimulus_id"]].values.tolist()
-    [[1, 1, 'oak-dft321'], [2, 2, 'oak-dft321']]
-    """
+    """The trials of one participant, in order: a tuple, with a table of them."""
 
     __slots__ = ()
 
@@ -266,38 +216,14 @@ class Trials(tuple[Trial, ...]):
 class Flow:
     """The rules of a session besides its trials; they are part of the plan.
 
-    Parameters
-    ----------
-    break_trials : int or None
-        A break after so many trials; None for none.
-    break_min : float or None
-        A break after so many minutes; None for none.
-    break_s, rest_s : float
-        Least duration in s of a break, and of the rest without any stimulus that every session has.
-    training_pass : float
-        Share of expected answers at which training is passed, 0 to 1, after correction for guessing.
-    training_rounds : int
-        Rounds of training before the session goes on without having passed.
-    min_response_s : float
-        Faster answers, in s, are too fast.
-    max_attempts : int
-        Attempts at a trial before it is given up; attempts that the device spoiled are not counted.
-    reject : tuple of str
-        Flags that make a trial bad, of `underrun`, `clipped`, `device_error`, `too_fast` and `not_felt`: its
-        rating does not count, and it is tried again. Where no answer could be given, because the device
-        failed, did not deliver what was asked, or a stimulus that is felt only once was cut short, it always is.
-    gap_s : float
-        Silence in s before each part of a trial.
-    level_error_db : float or None
-        Largest deviation of a measured playback's level, in dB, on a calibrated rig; None for any.
-    min_coherence : float
-        Least coherence of a measured playback with what was asked, 0 to 1.
-
-    Examples
-    --------
-    >>> from feel321 import protocols
-    >>> protocols.Flow(break_trials=40).rest_s
-    60.0
+    break_trials, break_min: a break after so many trials or minutes; None for none. break_s, rest_s: least duration of
+    a break, and of the rest without any stimulus that every session has. training_pass: share of expected answers at
+    which training is passed, after correction for guessing; after so many rounds the session goes on without.
+    min_response_s: faster answers are too fast. max_attempts: at a trial before it is given up; those that the device
+    lost are not counted. reject: flags that make a trial bad: its rating does not count, and it is tried again; so it
+    always is where no answer could be given. gap_s: silence before each part. level_error_db: largest deviation of a
+    measured playback's level on a calibrated rig, None for any. min_coherence: of a measured playback with what was
+    asked, 0 to 1.
     """
 
     break_trials: int | None = 60
@@ -331,34 +257,12 @@ class Page:
 class Task:
     """A protocol with the options of a study; `make_task` checks them.
 
-    Parameters
-    ----------
-    protocol : str
-        Name of the protocol.
-    timing : str
-        One of the protocol's timings.
-    reference : str
-        The reference: `original`, `surface` or the name of a reducer.
-    surface : bool
-        Whether the real surface is felt first, where the judgement is absolute.
-    training, practice : int
-        Number of trials with feedback, and of trials without feedback that do not count, before the first that does.
-    pairs : int or None
-        Number of pairs of each recording and level that are compared in a task that may have some only; None for all.
-    scales : tuple of str
-        The scales of each trial, in order, where there are several.
-    gap_s : float or None
-        Silence in s before each part; None for the session's.
-    answer_timeout_s : float or None
-        Time for an answer, in s, from when it can be given; None for any.
-    onset_s : float or None
-        Time in s from the onset of a trial to that of the next; None to begin when the participant is ready.
-
-    Examples
-    --------
-    >>> from feel321 import protocols
-    >>> protocols.make_task("mushra").timing
-    'free'
+    reference: `original`, `surface` or the name of a reducer. surface: whether the real surface is felt first, where
+    the judgement is absolute. training, practice: trials with feedback, and without feedback, before those that count.
+    pairs: of each recording and level that are compared in a task that may have some only; None for all. scales: of
+    each trial, where there are several. gap_s: silence before each part; None for the session's. answer_timeout_s: time
+    for an answer from when it can be given. onset_s: time from the onset of a trial to that of the next; None to begin
+    when the participant is ready.
     """
 
     protocol: str

@@ -12,11 +12,11 @@ import pandas as pd
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
-from feel321.analysis.screening.rules import find_rules
+from feel321.analysis.screening.screen import find_rules
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
+from feel321.analysis.table.items import Table
 from feel321.analysis.table.metrics import make_info
-from feel321.analysis.table.reading import Further, Table, read_table
-from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
 from feel321.doors import announce
 from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition
@@ -28,7 +28,7 @@ from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.freeze import make_standing
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
-from feel321.study.people import list_progress, note_estimates, write_roster
+from feel321.study.people import list_progress, note_estimates, note_given_up, write_roster
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import closing_results
 from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
@@ -131,7 +131,12 @@ def _derive_tables(
     _write_dictionary(study, settings)
     announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
-    notes = [*further.notes, *describe_matches(matched), *note_estimates(everybody)]
+    notes = [
+        *further.notes,
+        *describe_matches(matched),
+        *note_estimates(everybody),
+        *note_given_up(everybody),
+    ]
     if methods := [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]:
         said = "Reducers and metrics of the lab's own, with the SHA-256 of their code"
         notes.append(f"{said}: {', '.join(methods)}.")

@@ -24,23 +24,24 @@ from feel321.study.commands import shared
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
 GROUPS = {
-    "Design": {
-        "new": "design", "check": "design", "build": "design", "power": "design", "freeze": "design",
-        "tradeoff": "signals",
-    },
-    "Lab": {
-        "calibrate": "rig", "doctor": "rig", "run": "lab", "simulate": "lab", "status": "lab", "note": "lab",
-        "collect": "lab", "withdraw": "lab",
-    },
-    "Results": {"analyze": "results", "audit": "results", "seal": "results", "export": "results"},
-    "Signals": {"reduce": "signals", "match": "signals"},
-    "Example": {"demo": "design"},
-}  # fmt: skip
-"""Group of the help -> its verbs, and the module of `feel321.study.commands` that holds each."""
+    "Design": ("new", "check", "build", "power", "freeze", "tradeoff"),
+    "Lab": ("calibrate", "doctor", "run", "simulate", "status", "note", "collect", "withdraw"),
+    "Results": ("analyze", "audit", "seal", "export"),
+    "Signals": ("reduce", "match"),
+    "Example": ("demo",),
+}
+"""Group of the help -> its verbs."""
 
-VERBS = {verb: module for verbs in GROUPS.values() for verb, module in verbs.items()}
+HOMES = {
+    "study": ("new", "check", "build", "power", "freeze", "demo", *GROUPS["Results"]),
+    "lab": GROUPS["Lab"],
+    "signals": ("reduce", "match", "tradeoff"),
+}
+"""Module of `feel321.study.commands` -> the verbs that it holds."""
 
-RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
+VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
+
+RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 LONGEST = 1000
@@ -63,8 +64,9 @@ APP = App(
 )
 """The verbs; the module of each is imported when it is called."""
 
-for _verb, _module in VERBS.items():
-    APP.command(f"feel321.study.commands.{_module}:{_verb}", name=_verb)
+for _module, _verbs in HOMES.items():
+    for _verb in _verbs:
+        APP.command(f"feel321.study.commands.{_module}:{_verb}", name=_verb)
 APP.register_install_completion_command(show=False)
 
 

@@ -20,8 +20,8 @@ from feel321.study.numbers import find_doubles, hold_numbers, read_holder, read_
 from feel321.study.persons import withdrawal
 from feel321.study.persons.answers import PERSONAL_FILE, read_personal
 from feel321.study.session import journal as journals
-from feel321.study.session.identity import find_differences
 from feel321.study.session.journal import digest
+from feel321.study.session.opening import find_differences
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
 from feel321.study.settings.read import make_design, make_terms, read_settings
 

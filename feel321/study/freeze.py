@@ -24,8 +24,8 @@ from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_v
 from feel321.doors import name_of
 from feel321.files import write_text
 from feel321.study.session.events import SessionBegun, TrialRated
-from feel321.study.session.identity import FROZEN_FILE
 from feel321.study.session.journal import list_journals
+from feel321.study.session.opening import FROZEN_FILE
 from feel321.study.session.plan import PLAN_FILE
 
 if TYPE_CHECKING:
@@ -166,7 +166,7 @@ def _flatten(entry: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 def _list_code(settings: Settings, study: StudyFolder) -> Iterator[tuple[str, str]]:
     """List the digests of the lab's own code: reducers, metrics, screening rules and protocols."""
-    from feel321.analysis.screening.rules import find_rules
+    from feel321.analysis.screening.screen import find_rules
     from feel321.protocols.tasks import digest_protocols
     from feel321.study.settings.read import find_metric, make_recipe
 

@@ -84,15 +84,19 @@ def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread
     sources: list[Unread] = []
     digests: dict[str, str | None] = {}
     recipe = make_recipe(settings, study.path)
-    lead = "The recordings cannot be read as they were when the set was built"
-    try:
-        for source in list_unread(settings, study.path):
+    lead, problems = "The recordings cannot be read as they were when the set was built", []
+    for source in list_unread(settings, study.path):
+        try:
             recording = source.read()
-            digests[source.name] = recording.sha256
-            sources.append(replace(source, size=recording.acceleration.size))
-        if problems := find_changes(study.stimuli, recipe, digests):
+        except (OSError, TypeError, ValueError) as error:
+            problems.append(f"recording {source.name!r}: {error}")
+            continue
+        digests[source.name] = recording.sha256
+        sources.append(replace(source, size=recording.acceleration.size))
+    try:
+        if not problems and (problems := find_changes(study.stimuli, recipe, digests)):
             lead = "The settings differ from those of the built set, which this analysis is about"
-    except (OSError, TypeError, ValueError) as error:
+    except (OSError, ValueError) as error:
         problems = [str(error)]
     reason = f"{lead} ({problems[0].splitlines()[0].rstrip('.')})" if problems else ""
     return sources, recipe, reason

@@ -14,23 +14,26 @@ from statistics import median
 from typing import TYPE_CHECKING
 
 from feel321.protocols.agenda import SECONDS, Agenda
-from feel321.protocols.blocks import name_tone
-from feel321.protocols.trial import Page
-from feel321.study.observer.model import STROKE_S, UNHURRIED
+from feel321.protocols.threshold import name_tone
+from feel321.protocols.trial import VALID, Page
+from feel321.study.session.engine import find_gap
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
-from feel321.study.session.pace import find_gap
 from feel321.study.session.plan import make_trials, replay
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.protocols.trial import Flow, Item, Task, Trial
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Records
     from feel321.study.session.plan import Course, Design, Dossier, Plan
 
+UNHURRIED = (0.7, 0.4)
+"""Mean and standard deviation of the logarithm of a response time in s: a median of 2.0 s."""
+
+STROKE_S = 3.0  # duration of a stroke over the real surface
 PAGE_S = 10.0
 """Time for a page that may be left at once, until real participants have read some."""
 
@@ -126,9 +129,7 @@ class Sitting:
                 least_s = (task.onset_s or 0.0) if task else 0.0
                 clock_s += max(self.measure_felt(step) + answer_s, least_s)
                 is_known = any(judgement.expected for judgement in step.judgements)
-                agenda.tell_trial(
-                    step.number, accepted=True, as_expected=is_known or None, time_s=clock_s
-                )
+                agenda.tell_trial(step.number, VALID, as_expected=is_known or None, time_s=clock_s)
         reached.setdefault(agenda.done, clock_s)
         return {done: clock_s - time_s for done, time_s in reached.items()}
 

@@ -192,7 +192,8 @@ class Progress:
     number: int
     groups: Mapping[str, str]
     total: int
-    done: int = 0
+    answered: int = 0
+    given_up: int = 0
     state: str = "claimed"
     sessions: int = 0
     first_utc: str = ""
@@ -231,6 +232,7 @@ def make_progress(dossier: plans.Dossier) -> Progress:
     rated = (one.utc for one in records if one.event == events.TrialRated.event)
     with plans.read_as_written(dossier.newest):
         use = find_rig_use(plan.participant, newest)
+        agenda = plans.replay(plan, newest)
         pages = {page.key for page in newest.find(events.PageRead)}
         return Progress(
             participant=plan.participant,
@@ -238,7 +240,8 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             number=plan.number,
             groups=plan.groups,
             total=sum(trial.phase == "main" for trial in plan.trials),
-            done=plans.replay(plan, newest).done,
+            answered=agenda.answered,
+            given_up=agenda.given_up,
             state=_find_state(newest),
             sessions=len(dossier.chains),
             first_utc=times[0] if times else "",
@@ -269,6 +272,12 @@ def note_estimates(everybody: Iterable[Progress]) -> Iterator[str]:
             f"Onset times of participants {', '.join(estimated)} are estimated from the latency: their device gave "
             "none."
         )
+
+
+def note_given_up(everybody: Iterable[Progress]) -> Iterator[str]:
+    """Say who gave up trials, for the report: they have no rating."""
+    if gone := [f"{one.participant} ({one.given_up})" for one in everybody if one.given_up]:
+        yield f"Trials without a valid answer after all attempts, of participants {', '.join(gone)}: no ratings."
 
 
 def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None) -> Path:

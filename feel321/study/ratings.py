@@ -18,13 +18,12 @@ from typing import Any
 
 from feel321.files import write_table
 from feel321.names import MATCHES
-from feel321.protocols.blocks import SECOND, Matching
 from feel321.protocols.tasks import find_other, score_trial
+from feel321.protocols.threshold import SECOND, Matching
 from feel321.protocols.trial import MATCHING, Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.sensation import find_own_levels
-from feel321.study.session.codes import list_by_code
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -33,7 +32,8 @@ from feel321.study.session.events import (
     TrialShown,
 )
 from feel321.study.session.journal import Records, list_journals, name_journal
-from feel321.study.session.plan import Dossier, Plan, read_as_written
+from feel321.study.session.plan import Dossier, Plan, list_by_code, read_as_written
+from feel321.study.wide import write_wide
 
 MATCHES_FILE = "matches.csv"
 MATCH_COLUMNS = (
@@ -49,9 +49,10 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
     was begun anew, is there and marked as rejected.
     """
-    rows = (row for one in study.read_people() for row in list_judgements(one, stimuli))
+    rows = [row for one in study.read_people() for row in list_judgements(one, stimuli)]
     count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
     study.share(study.ratings)
+    write_wide(study.path, rows)
     return count
 
 

@@ -5,24 +5,24 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import make_scales
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_details
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_details, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe, describe_recipe
 from feel321.stimuli.sets.render import list_methods
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.numbers import find_station, plan_participants
 from feel321.study.persons.answers import make_keeper
-from feel321.study.session.codes import list_by_code
 from feel321.study.session.engine import Outcome, run_session
 from feel321.study.session.journal import Clock, Journal
-from feel321.study.session.plan import Plan, Stale, make_plan, open_session
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan
 from feel321.study.session.ports import Place, Presenter
-from feel321.study.settings.read import make_design, make_recipe, read_study_texts
+from feel321.study.settings.read import make_design, make_recipe, read_settings, read_study_texts
 
 if TYPE_CHECKING:
     from feel321.protocols.trial import Scale
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from feel321.study.actuator.mixer import Frames
     from feel321.study.actuator.rig import Rig
     from feel321.study.folder import StudyFolder
+    from feel321.study.observer.model import Casting
     from feel321.study.settings.schema import Settings
 
 MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]]
@@ -37,21 +38,39 @@ MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], AbstractContex
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """The shared surroundings of a study's sessions."""
+    """Where sessions are held: what those of a study share, and in a lab its screen and its rig.
+
+    casting: who sits there if nobody does. sounds: the stimuli as the rig plays them.
+    """
 
     study: StudyFolder
+    settings: Settings
     stimuli: StimulusSet
     scales: Mapping[str, Scale]
     stale: Stale
     now: Clock
     pace: Pace = SIMULATED
+    windowed: bool = False
+    screen: int = 0
+    device: str | None = None
+    accept_rig: bool = False
+    lsl: bool = False
+    casting: Casting | None = None
+    rig: Rig | None = None
+    certificate: Certificate | None = None
+    sounds: Mapping[str, Frames] = field(default_factory=dict)
 
 
 def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock) -> Room:
     """Open the shared surroundings of a study's sessions."""
     scales = make_scales(read_study_texts(settings, study.path))
     stale = Stale(**settings.session.stale.model_dump())
-    return Room(study, stimuli, scales, stale, now)
+    return Room(study, settings, stimuli, scales, stale, now)
+
+
+def read_room(study: StudyFolder, *, now: Clock) -> Room:
+    """Read settings and stimuli of a study whose sessions are to be held."""
+    return open_room(study, read_settings(study.settings), read_stimuli(study.stimuli), now=now)
 
 
 def plan_sessions(
@@ -74,12 +93,11 @@ def lead_session(
     identity: Mapping[str, Any],
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
-    accept_rig: bool = False,
 ) -> tuple[Outcome, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
     with open_session(
-        folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=accept_rig
+        folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=room.accept_rig
     ) as (stored, journal):
         by_code = list_by_code(room.stimuli, seed=stored.seed)
         durations = find_durations(room.stimuli)

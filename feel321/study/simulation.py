@@ -53,15 +53,15 @@ def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
     """Compute what simulated participants plant in realism ratings, after clipping at the ends of the scale.
 
     Slopes and terms of reducers are those of one regression, within recordings, of the mean ratings of careful
-    participants; there are none where participants feel more than the two matches.
+    participants.
     """
     import numpy as np
 
     model = make_model(settings)
     tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
-    if model.uses_percepts or "realism" not in settings.session.protocols or not tests:
+    if "realism" not in settings.session.protocols or not tests:
         return Planted({}, {})
-    touch = Touch(model, {})
+    touch = Touch(model)
     points = [touch.locate(stimulus) for stimulus in tests]
     ratings = expect_rating(model, [touch.feel(point) for point in points])
     felt = {stimulus.reducer for stimulus in tests}
@@ -118,7 +118,7 @@ def run_simulation(
     """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
     names = list_participants(room.study, participants)
     plans = plan_sessions(room, settings, names, simulated=True)
-    casting = cast_observers(settings, room.stimuli, seed=seed)
+    casting = cast_observers(settings, seed=seed)
     total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
     done, counting, stop = dict.fromkeys(names, 0), Lock(), Event()
 
@@ -172,7 +172,6 @@ def _make_observer(
         casting.model,
         seed=casting.seed,
         number=find_person(plan.participant),
-        percepts=casting.percepts,
         elapsed_s=journal.records.find_elapsed(),
     )
     observer.recall(journal.records, plan.trials, stimuli=stimuli)

@@ -12,14 +12,20 @@ from typing import TYPE_CHECKING
 from feel321.doors import announce
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
-from feel321.protocols.balance import count_rows, measure_balance, pool_balances
-from feel321.protocols.order import TASK_ORDERS
+from feel321.protocols.compare import count_rows
+from feel321.protocols.order import TASK_ORDERS, measure_balance, pool_balances
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import minutes, people
 from feel321.study.freeze import describe_frozen
-from feel321.study.session.events import PageRead, SessionFinished, SessionReleased, TrialRated
+from feel321.study.session.events import (
+    DeviceFailed,
+    PageRead,
+    SessionFinished,
+    SessionReleased,
+    TrialRated,
+)
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.thresholds import find_warnings, read_thresholds
 
@@ -166,7 +172,8 @@ class ParticipantStatus:
     state: str = ""
     number: int = 0
     groups: str = ""
-    done: int = 0
+    answered: int = 0
+    given_up: int = 0
     left: int = 0
     simulated: bool = False
     last_activity: str = ""
@@ -175,6 +182,11 @@ class ParticipantStatus:
     notes: tuple[people.Note, ...] = ()
     left_min: float | None = None
     rig: people.RigUse | None = None
+
+    @property
+    def done(self) -> int:
+        """Trials that need no further attempt."""
+        return self.answered + self.given_up
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -195,7 +207,9 @@ class Status(Result):
 
     def summary(self) -> str:
         """Write what `feel321 status` prints."""
-        lines = [f"{'participant':<14}{'state':<11}{'done':>5}{'left':>6}{'min':>5}  last activity"]
+        lines = [
+            f"{'participant':<14}{'state':<11}{'answered':>9}{'given up':>9}{'left':>5}{'min':>5}  last activity"
+        ]
         for entry in self.participants:
             lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
         length = [] if self.length is None else [self.length.describe()]
@@ -218,11 +232,12 @@ class Status(Result):
 
 def _describe(entry: ParticipantStatus) -> str:
     if entry.problem:
-        return f"{entry.participant:<14}{'?':<11}{'?':>5}{'?':>6}{'':5}  {entry.problem}"
+        return f"{entry.participant:<14}{'?':<11}{'?':>9}{'?':>9}{'?':>5}{'':5}  {entry.problem}"
     notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
     tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
     left = "" if entry.left_min is None else f"{entry.left_min:.0f}"
-    return f"{entry.participant:<14}{entry.state:<11}{entry.done:>5}{entry.left:>6}{left:>5}{tail}"
+    counts = f"{entry.answered:>9}{entry.given_up:>9}{entry.left:>5}"
+    return f"{entry.participant:<14}{entry.state:<11}{counts}{left:>5}{tail}"
 
 
 def read_status(
@@ -287,8 +302,9 @@ def read_participant(
         state="aborted" if is_left else progress.state,
         number=progress.number,
         groups=", ".join(f"{factor}={level}" for factor, level in progress.groups.items()),
-        done=progress.done,
-        left=progress.total - progress.done,
+        answered=progress.answered,
+        given_up=progress.given_up,
+        left=progress.total - progress.answered - progress.given_up,
         simulated=progress.simulated,
         last_activity=progress.last_utc,
         warnings=warnings,
@@ -308,6 +324,8 @@ def list_accepted(dossier: Dossier) -> list[TrialRated]:
 def _find_warnings(dossier: Dossier, rated: Sequence[TrialRated]) -> Iterator[str]:
     for chain in dossier.chains[-1:]:
         yield from find_flags(chain)
+        for call in list(chain.records.find(DeviceFailed))[-1:]:
+            yield f"last called for: {call.reason}"
     yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
     caught = judge_catches(dossier.plan, rated)
     if missed := caught.count(False):
@@ -322,8 +340,8 @@ def find_flags(chain: Chain) -> Iterator[str]:
     yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
     if any(page.key == "training_failed" for page in chain.records.find(PageRead)):
         yield "training not passed"
-    if given_up := sum(end.given_up for end in chain.records.find(SessionFinished)):
-        yield f"{given_up} {'trial' if given_up == 1 else 'trials'} given up"
+    if calls := list(chain.records.find(DeviceFailed)):
+        yield f"experimenter called: {len(calls)} x"
 
 
 def judge_catches(plan: Plan, rated: Iterable[TrialRated]) -> list[bool]:

@@ -92,7 +92,8 @@ class Watch:
         dossier = own[0] if own else None
         row = {
             "participant": entry.participant, "state": entry.state or "unreadable", "simulated": entry.simulated,
-            "done": entry.done, "total": entry.done + entry.left,
+            "answered": entry.answered, "given_up": entry.given_up,
+            "total": entry.answered + entry.given_up + entry.left,
         }  # fmt: skip
         return stamp, row | (_describe(dossier) if dossier and dossier.chains else {}), dossier
 

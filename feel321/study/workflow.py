@@ -147,7 +147,7 @@ def check_study(
 
 def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
     """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
-    from feel321.analysis.screening.rules import find_rules, make_rule
+    from feel321.analysis.screening.screen import find_rules, make_rule
     from feel321.stimuli.conform import check_method
 
     methods = list_methods(settings, study.path)
@@ -376,7 +376,11 @@ def find_warnings(
     study: StudyFolder, settings: Settings, recordings: Sequence[sets.Facts] = ()
 ) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
-    remarks = [f"{study.settings.name}: {remark}" for remark in read.list_remarks(settings)]
+    unused = [name for name in settings.tasks if name not in settings.session.protocols]
+    remarks = [
+        f"{study.settings.name}: tasks.{name}: has no effect, {name} is not in session.protocols; add it there"
+        for name in unused
+    ]
     remarks += sets.find_copies(recordings)
     named = [name for name in settings.stimuli.reducers if name in REDUCERS]
     windowed = [name for name in named if "window_s" in signature(REDUCERS[name]).parameters]

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import t
 
 from feel321.analysis.agreement import LEVELS, krippendorff_alpha
 
@@ -50,7 +49,9 @@ def test_names_agree_as_their_numbers_do() -> None:
     table = make_table(3)
     words = [[None if math.isnan(cell) else f"kind {abs(cell):g}" for cell in row] for row in table]
     assert krippendorff_alpha(words, level="nominal") == krippendorff_alpha(table, level="nominal")
-    with pytest.raises(ValueError, match="table must hold numbers, got 'kind 3'"):
+    with pytest.raises(
+        ValueError, match="table must hold numbers: could not convert string to float: 'kind 3'"
+    ):
         krippendorff_alpha(words, level="ordinal")
 
 
@@ -90,78 +91,12 @@ def test_order_alone_decides_on_an_ordinal_scale() -> None:
 def test_equal_ratings_have_no_alpha(level: str) -> None:
     table = np.full((5, 3), 33.3)
     assert math.isnan(krippendorff_alpha(table, level=level))
-    result = krippendorff_alpha(table, level=level, draws=10, rng=np.random.default_rng(0))
-    assert result.notes == ("No alpha: all ratings are the same.",)
-    assert math.isnan(result.low)
 
 
 def test_targets_with_one_rating_do_not_count() -> None:
     table = make_table(missing=0.0)
     more = np.vstack([table, [9, *[np.nan] * 4], [np.nan] * 5])
     assert krippendorff_alpha(more) == krippendorff_alpha(table)
-    result = krippendorff_alpha(more, draws=5, rng=np.random.default_rng(0))
-    assert result.notes == ("2 targets with fewer than two ratings have nothing to agree on.",)
-    assert (result.n_targets, result.n_ratings) == (14, 70)
-
-
-@pytest.mark.parametrize("level", LEVELS)
-def test_the_interval_is_the_bootstrap_of_targets(level: str) -> None:
-    table = make_table(5, missing=0.1)
-    result = krippendorff_alpha(table, level=level, draws=200, rng=np.random.default_rng(8))
-    counts = np.random.default_rng(8).multinomial(14, np.full(14, 1 / 14), size=200)
-    drawn = [krippendorff_alpha(np.repeat(table, times, axis=0), level=level) for times in counts]
-    margin = t.ppf(0.975, 13) * math.sqrt(14 / 13) * np.std(drawn, ddof=1)
-    assert [result.low, result.high] == pytest.approx([
-        result.value - margin,
-        min(result.value + margin, 1),
-    ])
-    assert result.low < result.value < result.high <= 1
-
-
-def test_groups_are_drawn_with_all_their_targets() -> None:
-    table = make_table(6)
-    table[3, 1:] = np.nan  # a target that does not count must not shift the groups of the others
-    recordings = np.repeat(["b", "a", "c", "d", "e", "f", "g"], 2)
-    result = krippendorff_alpha(table, groups=recordings, draws=100, rng=np.random.default_rng(4))
-    assert (result.n_targets, result.n_groups) == (13, 7)
-    left = np.delete(np.arange(14), 3)
-    of = [left[recordings[left] == name] for name in sorted(set(recordings))]
-    counts = np.random.default_rng(4).multinomial(7, np.full(7, 1 / 7), size=100)
-    drawn = [
-        krippendorff_alpha(
-            np.concatenate([table[np.tile(of[place], n)] for place, n in enumerate(row)])
-        )
-        for row in counts
-    ]
-    margin = t.ppf(0.975, 6) * math.sqrt(7 / 6) * np.std(drawn, ddof=1)
-    assert result.low == pytest.approx(result.value - margin)
-
-
-def test_groups_widen_what_clusters() -> None:
-    rng = np.random.default_rng(2)
-    table = np.repeat(rng.normal(0, 3, 8), 6)[:, None] + rng.normal(0, 1, (48, 5))
-    alone = krippendorff_alpha(table, draws=300, rng=rng)
-    grouped = krippendorff_alpha(table, groups=np.repeat(np.arange(8), 6), draws=300, rng=rng)
-    assert grouped.value == alone.value
-    assert grouped.value - grouped.low > 1.5 * (alone.value - alone.low)
-
-
-def test_one_group_has_no_interval() -> None:
-    result = krippendorff_alpha(
-        make_table(missing=0.0), groups=["a"] * 14, draws=20, rng=np.random.default_rng(0)
-    )
-    assert math.isnan(result.low)
-    assert math.isnan(result.high)
-    assert result.notes[0].startswith("No interval: one group only")
-
-
-def test_groups_must_be_those_of_the_targets() -> None:
-    with pytest.raises(
-        ValueError, match=r"groups must hold one group per target, got shape .3,. for 14 targets"
-    ):
-        krippendorff_alpha(
-            make_table(), groups=["a", "b", "c"], draws=5, rng=np.random.default_rng(0)
-        )
 
 
 def test_a_slider_of_many_values_needs_little_memory() -> None:
@@ -171,15 +106,6 @@ def test_a_slider_of_many_values_needs_little_memory() -> None:
     alpha = krippendorff_alpha(table)
     assert krippendorff_alpha(table, level="ordinal") == pytest.approx(alpha, abs=0.03)
     assert math.isfinite(krippendorff_alpha(np.abs(table[:, :6]), level="ratio"))
-
-
-def test_one_odd_target_makes_too_many_draws_undefined() -> None:
-    table = np.full((6, 3), 4.0)
-    table[0] = [4, 4, 5]
-    result = krippendorff_alpha(table, draws=200, rng=np.random.default_rng(0))
-    assert math.isfinite(result.value)
-    assert math.isnan(result.high)
-    assert any("undefined in too many" in note for note in result.notes)
 
 
 @pytest.mark.parametrize(
@@ -203,8 +129,3 @@ def test_one_odd_target_makes_too_many_draws_undefined() -> None:
 def test_bad_input_is_refused_in_words(table: list[object], level: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         krippendorff_alpha(table, level=level)
-
-
-def test_one_draw_is_no_interval() -> None:
-    with pytest.raises(ValueError, match="draws must be 2 or more, got"):
-        krippendorff_alpha([[1, 2], [2, 3]], draws=1, rng=np.random.default_rng(0))

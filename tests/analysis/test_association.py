@@ -1,23 +1,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
-from feel321.analysis.agreement import noise_ceiling, noise_ceiling_within
 from feel321.analysis.association.correlate import compare_metrics, correlate, make_panel
-from feel321.analysis.resampling import (
-    METHODS,
-    correlate_draws,
-    count_scarcest,
-    draw_counts,
-    draw_methods,
-)
+from feel321.analysis.resampling import METHODS, correlate_draws, draw_counts
 from feel321.analysis.table.items import make_items
 
 if TYPE_CHECKING:
@@ -78,21 +70,6 @@ def test_within_is_the_average_over_recordings(
     assert found.low < found.value < found.high
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("column", ["temporal_match", "spectral_match_sd"])
-def test_every_method_takes_any_column(
-    tidy: Callable[..., pd.DataFrame], method: str, column: str
-) -> None:
-    table = tidy()
-    # As the statistics over sensor orientations.
-    table["spectral_match_sd"] = 0.1 - 0.05 * table[SPECTRAL]
-    found = correlate(table, column, method=method, draws=100, rng=rng())
-    compared = compare_metrics(table, SPECTRAL, column, method=method, draws=100, rng=rng())
-    assert compared.second_value == found.value
-    assert compared.low <= compared.value <= compared.high
-    assert compared.notes == ()
-
-
 def test_what_lifts_whole_recordings_is_not_within() -> None:
     table = simulate(rng(3), people=8, scenes=6)
     plain = correlate(table, "metric", method="within", draws=100, rng=rng())
@@ -114,12 +91,6 @@ def test_ceiling_within_recovers_a_perfect_metric() -> None:
     found = correlate(table, "metric", method="within", draws=50, rng=generator)
     assert found.value < 0.9
     assert found.disattenuated == pytest.approx(1, abs=0.06)
-
-
-def test_one_group_has_the_plain_ceiling() -> None:
-    table = rng().normal(size=(9, 5)) + np.arange(9.0)[:, None]
-    assert noise_ceiling_within(table, np.zeros(9, int)) == pytest.approx(noise_ceiling(table))
-    assert math.isnan(noise_ceiling_within(table, np.arange(9)))
 
 
 @pytest.mark.parametrize(
@@ -157,25 +128,6 @@ def test_within_says_what_it_rests_on(
     tests = tidy()[lambda table: table["role"] == "test"]
     found = correlate(change(tests), SPECTRAL, method="within", draws=50, rng=rng())
     assert any(line.startswith(note) for line in found.notes)
-
-
-def test_order_that_no_draw_changes_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy(noise=0)
-    found = correlate(table, TEMPORAL, method="kendall", draws=50, rng=rng())
-    assert math.isnan(found.participants_low)
-    assert (
-        "All 50 participants-only draws gave the same: no interval without spread." in found.notes
-    )
-
-
-@pytest.mark.parametrize("block", [1, 7, 1000])
-def test_draws_in_blocks_are_as_many(
-    tidy: Callable[..., pd.DataFrame], monkeypatch: Any, block: int
-) -> None:
-    monkeypatch.setattr("feel321.analysis.resampling.BLOCK", 36 * block)
-    found = correlate(tidy(noise=25), SPECTRAL, draws=100, rng=rng())
-    assert found.draws == 100
-    assert found.low < found.value < found.high
 
 
 def test_intervals_within_allow_for_the_lean_of_few_stimuli(
@@ -223,15 +175,6 @@ def test_two_way_intervals_cover_what_is_planted(method: str) -> None:
     ]
     covered = sum(result.low <= 0 <= result.high for result in found)
     assert 0.92 <= covered / studies <= 0.985
-
-
-def test_planted_metric_wins_either_way(tidy: Callable[..., pd.DataFrame]) -> None:
-    spectral = tidy(spectral=30, temporal=0, recordings=8)
-    temporal = tidy(spectral=0, temporal=30, recordings=8)
-    first = compare_metrics(spectral, SPECTRAL, TEMPORAL, draws=400, rng=rng())
-    second = compare_metrics(temporal, SPECTRAL, TEMPORAL, draws=400, rng=rng())
-    assert first.low > 0
-    assert second.high < 0
 
 
 def test_two_way_interval_is_wider_on_clustered_data(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -324,65 +267,10 @@ def test_a_small_study_whose_draws_are_undefined_has_no_interval(
     )
 
 
-def test_a_few_undefined_draws_are_counted(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy(recordings=7)
-    found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, draws=2000, rng=rng())
-    assert 1800 < found.draws < 2000
-    assert math.isfinite(found.low)
-    assert any(note.endswith("are left out.") for note in found.notes)
-    compared = compare_metrics(
-        table[table["reducer"] == "dft321"], SPECTRAL, TEMPORAL, draws=2000, rng=rng()
-    )
-    assert 1800 < compared.draws < 2000
-    assert any(
-        note.startswith(f"{2000 - compared.draws} of 2000 two-way draws") for note in compared.notes
-    )
-
-
-def test_a_perfect_line_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy()
-    found = correlate(table.assign(rating=table[SPECTRAL]), SPECTRAL, draws=50, rng=rng())
-    assert found.value == pytest.approx(1)
-    assert math.isnan(found.low)
-    assert found.draws == 0
-
-
 def test_a_huge_metric_is_not_taken_for_constant_ratings(tidy: Callable[..., pd.DataFrame]) -> None:
     table = tidy()
     table.loc[table["stimulus_id"] == "rec1_say321_as_is", SPECTRAL] = -1e200
     assert math.isfinite(correlate(table, SPECTRAL, draws=50, rng=rng()).value)
-
-
-def test_interval_follows_its_formula(tidy: Callable[..., pd.DataFrame]) -> None:
-    found = correlate(tidy(), SPECTRAL, draws=500, rng=rng())
-    middle = (math.atanh(found.low) + math.atanh(found.high)) / 2
-    assert middle == pytest.approx(math.atanh(found.value))
-    assert found.draws == 500
-
-
-def test_unit_of_ratings_and_order_of_rows_do_not_matter(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy(repeats=7)
-    table["rating"] += rng().normal(0, 1e-3, len(table))
-    plain = correlate(table, SPECTRAL, draws=100, rng=rng())
-    for seed in range(5):
-        shuffled = table.sample(frac=1, random_state=seed)
-        assert correlate(shuffled, SPECTRAL, draws=100, rng=rng()) == plain
-    scaled = correlate(
-        table.assign(rating=table["rating"] * 0.07 - 3), SPECTRAL, draws=100, rng=rng()
-    )
-    for name in ("value", "low", "high", "ceiling", "disattenuated"):
-        assert getattr(scaled, name) == pytest.approx(getattr(plain, name), abs=1e-10)
-
-
-def test_ratings_turned_round_turn_the_sign(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy()
-    plain = correlate(table, SPECTRAL, draws=100, rng=rng())
-    turned = correlate(table.assign(rating=100 - table["rating"]), SPECTRAL, draws=100, rng=rng())
-    assert (turned.value, turned.low, turned.high) == pytest.approx((
-        -plain.value,
-        -plain.high,
-        -plain.low,
-    ))
 
 
 def test_reference_and_anchors_do_not_count(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -391,21 +279,6 @@ def test_reference_and_anchors_do_not_count(tidy: Callable[..., pd.DataFrame]) -
     assert correlate(table, SPECTRAL, draws=50, rng=rng()) == correlate(
         tests, SPECTRAL, draws=50, rng=rng()
     )
-
-
-def test_items_may_be_named_by_recording_and_reducer(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy()
-    bare = table[table["role"] == "test"][
-        ["participant", "recording", "reducer", "rating", SPECTRAL]
-    ]
-    assert correlate(bare, SPECTRAL, draws=50, rng=rng()).n_items == 36
-
-
-def test_repeats_do_not_make_a_participant_count_twice(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy()
-    doubled = pd.concat([table, table[table["participant"] == "p01"]])
-    plain, same = (correlate(data, SPECTRAL, draws=50, rng=rng()) for data in (table, doubled))
-    assert same.value == pytest.approx(plain.value, abs=1e-12)
 
 
 def test_ceiling_and_disattenuation_recover_a_perfect_metric() -> None:
@@ -447,54 +320,6 @@ def test_metrics_that_say_the_same_get_the_same_intervals(
     assert alone.differences == tuple(differ[SPECTRAL, TEMPORAL, method] for method in METHODS)
 
 
-def test_a_within_interval_rests_on_whatever_is_scarcest(tidy: Callable[..., pd.DataFrame]) -> None:
-    items = make_items(tidy(participants=2, recordings=6), [SPECTRAL])
-    for method in ("pearson", "within"):
-        assert count_scarcest(items, draw_methods(items, [method], draws=5, rng=rng())[method]) == 2
-    items = make_items(tidy(participants=8, recordings=6), [SPECTRAL])
-    silent = replace(items, metrics=np.where(items.recordings < 3, items.metrics, 0.5))
-    for method, count in (("pearson", 6), ("within", 3)):
-        assert (
-            count_scarcest(silent, draw_methods(silent, [method], draws=5, rng=rng())[method])
-            == count
-        )
-
-
-def test_exactly_half_of_the_stimuli_make_a_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy()
-    gone = (table["participant"] == "p00") & table["recording"].isin(["rec0", "rec1"])
-    found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
-    assert math.isfinite(found.ceiling)
-    assert any(
-        "rests on the 18 stimuli that every participant rated, r on all 36" in note
-        for note in found.notes
-    )
-
-
-def test_half_the_stimuli_make_no_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy()
-    gone = (table["participant"] == "p00") & table["recording"].isin(["rec0", "rec1", "rec2"])
-    found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
-    assert math.isnan(found.ceiling)
-    assert "No noise ceiling: only 9 of 36 stimuli were rated by everyone." in found.notes
-
-
-def test_ranks_are_not_divided_by_the_ceiling_of_straight_relations(
-    tidy: Callable[..., pd.DataFrame],
-) -> None:
-    found = correlate(tidy(), SPECTRAL, method="spearman", draws=50, rng=rng())
-    assert math.isfinite(found.ceiling)
-    assert math.isnan(found.disattenuated)
-
-
-def test_no_shared_stimuli_no_ceiling(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy(participants=4)
-    own = table["participant"].str[-1] == table["recording"].str[-1]
-    found = correlate(table[own], SPECTRAL, draws=50, rng=rng())
-    assert math.isnan(found.ceiling)
-    assert any("No noise ceiling: it needs two participants" in note for note in found.notes)
-
-
 @pytest.mark.parametrize(
     ("changes", "note", "narrow_defined"),
     [
@@ -534,36 +359,6 @@ def test_constants_have_no_correlation(
     assert note in compare_metrics(table, TEMPORAL, SPECTRAL, draws=20, rng=rng()).notes
 
 
-def test_contradicting_raters_leave_no_ceiling() -> None:
-    table = pd.DataFrame(
-        {
-            "participant": list("aaabbb"), "recording": list("xyzxyz"), "reducer": ["r"] * 6,
-            "metric": [1.0, 2, 3] * 2, "rating": [0.0, 10, 0, 10, 0.5, 10],
-        }
-    )  # fmt: skip
-    found = correlate(table, "metric", draws=20, rng=rng())
-    assert (
-        "No noise ceiling: mean ratings do not differ between stimuli beyond noise." in found.notes
-    )
-
-
-def test_two_items_are_no_correlation(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy(recordings=2)
-    found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, draws=20, rng=rng())
-    assert math.isnan(found.value)
-    assert "No correlation: it needs 3 test stimuli, got 2." in found.notes
-
-
-@pytest.mark.parametrize("method", ["pearson", "spearman"])
-def test_one_item_is_no_correlation(tidy: Callable[..., pd.DataFrame], method: str) -> None:
-    table = tidy(recordings=1)
-    found = correlate(
-        table[table["reducer"] == "dft321"], SPECTRAL, method=method, draws=20, rng=rng()
-    )
-    assert math.isnan(found.value)
-    assert "No correlation: it needs 3 test stimuli, got 1." in found.notes
-
-
 def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> None:
     table = tidy()
     one, two = (correlate(table, name, draws=20, rng=rng()).value for name in (SPECTRAL, TEMPORAL))
@@ -597,45 +392,3 @@ def test_requests_not_met(
     request = {"metric": SPECTRAL, "draws": 5, **change}
     with pytest.raises(ValueError, match=message):
         correlate(tidy(), rng=rng(), **request)
-
-
-def test_a_metric_is_not_compared_with_itself(tidy: Callable[..., pd.DataFrame]) -> None:
-    with pytest.raises(
-        ValueError, match="second must be another metric than the first, got 'spectral_match' twice"
-    ):
-        compare_metrics(tidy(), SPECTRAL, SPECTRAL, rng=rng())
-
-
-def spoil(table: pd.DataFrame, what: str) -> pd.DataFrame:
-    first = table.index == table.index[0]
-    return {
-        "scales": lambda: table.assign(scale=np.where(first, "similarity", "realism")),
-        "roles": lambda: table[table["role"] != "test"],
-        "rating": lambda: table.assign(rating=table["rating"].where(~first)),
-        "participant": lambda: table.assign(participant=table["participant"].where(~first)),
-        "recording": lambda: table.assign(recording=table["recording"].where(~first)),
-        "metric": lambda: table.assign(spectral_match=table[SPECTRAL].where(~first, 0.123)),
-        "columns": lambda: table[["participant", "recording", "rating", SPECTRAL]],
-    }[what]()
-
-
-@pytest.mark.parametrize(
-    ("what", "message"),
-    [
-        ("scales", "ratings must be of one scale, got the scales realism, similarity"),
-        ("roles", "got no row with role 'test'"),
-        ("rating", "ratings: column 'rating' must be finite, got 1 values that are not"),
-        ("participant", "ratings must name a participant in each row, got 1 without"),
-        ("recording", "ratings must name a recording in each row, got 1 without"),
-        (
-            "metric",
-            "ratings: column 'spectral_match' must be the same in all rows of a stimulus, got",
-        ),
-        ("columns", "column reducer is missing"),
-    ],
-)
-def test_tables_that_cannot_be_used(
-    tidy: Callable[..., pd.DataFrame], what: str, message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        correlate(spoil(tidy(), what), SPECTRAL, draws=5, rng=rng())

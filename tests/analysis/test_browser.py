@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import html
-import io
 import json
 import re
 import shutil
 import subprocess
-from base64 import b64decode
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from feel321.analysis import browser, write_stimulus_page
-from feel321.stimuli import acceleration_threshold, build_stimuli, make_scene, sensation_level_db
-from feel321.stimuli.sets.manifest import check_stimuli, read_stimuli, write_manifest
+from feel321.analysis import browser
+from feel321.analysis.browser import write_stimulus_page
+from feel321.stimuli import acceleration_threshold, build_stimuli, make_scene
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,51 +47,15 @@ def read_rows(page: Path) -> dict[str, str]:
     return dict(re.findall(r'<tr id="([^"]*)"(.*?)</tr>', text, flags=re.DOTALL))
 
 
-def find_darkness(page_row: str) -> np.ndarray:
-    png = re.search(r"base64,([^)]*)\)", page_row)[1]
-    return np.asarray(Image.open(io.BytesIO(b64decode(png))).convert("RGBA"))[..., 3]
-
-
 def test_numbers_are_those_of_the_manifest(built: StimulusSet) -> None:
     rows = read_rows(built.folder / "index.html")
     assert list(rows) == [row.stimulus_id for row in built]
-    text = html.unescape((built.folder / "index.html").read_text(encoding="utf-8"))
     for stimulus in built:
         found = re.findall(r'<data value="([^"]*)">([^<]*)</data>', rows[stimulus.stimulus_id])
         exact = [getattr(stimulus, name) for name in browser.NUMBERS]
         assert [float(value) for value, _ in found] == exact
         shown = [float(value.replace("−", "-")) for _, value in found]
         assert shown == pytest.approx(exact, abs=0.051)
-        further = re.search(rf'<th scope="row">{stimulus.stimulus_id}</th>(.*?)</tr>', text)[1]
-        rms, peak, gain, bounded, clipped = re.findall("<td>(.*?)</td>", further)
-        assert [float(rms), float(gain)] == pytest.approx(
-            [stimulus.rms_m_s2, stimulus.gain], rel=0.006
-        )
-        assert float(peak) == pytest.approx(100 * stimulus.peak, rel=0.006)
-        assert float(bounded) == pytest.approx(stimulus.spectral_match_bounded, rel=0.006)
-        assert int(clipped) == stimulus.clipped
-
-
-def test_every_sound_is_there(built: StimulusSet) -> None:
-    rows = read_rows(built.folder / "index.html")
-    for stimulus in built:
-        name = re.search('<a href="([^"]*)"', rows[stimulus.stimulus_id])[1]
-        assert name == stimulus.file
-        assert (built.folder / name).read_bytes()[:4] == b"RIFF"
-
-
-def test_the_page_leaves_the_set_as_it_was(built: StimulusSet, tmp_path: Path) -> None:
-    assert check_stimuli(built.folder) == []
-    folder = copy(built, tmp_path)
-    page = folder / "index.html"
-    first = page.read_bytes()
-    page.write_bytes(first + b"<!-- kept -->")
-    write_stimulus_page(folder)
-    assert page.read_bytes() == first + b"<!-- kept -->"  # up to date, so not made again
-    page.unlink()
-    write_stimulus_page(folder)
-    assert page.read_bytes() == first
-    assert read_stimuli(folder).sha256 == built.sha256
 
 
 @pytest.mark.parametrize(
@@ -119,34 +80,6 @@ def test_planted_flags_are_found(
     built: StimulusSet, changes: dict[str, object], flags: list[str]
 ) -> None:
     assert browser.find_flags(replace(built[0], **changes)) == flags
-
-
-def test_flags_stand_in_words_on_their_stimulus_and_in_the_first_sentence(
-    built: StimulusSet, tmp_path: Path
-) -> None:
-    folder = copy(built, tmp_path)
-    planted = {0: {"spectral_match": -2.0}, 1: {"clipped": 7}, 6: {"sensation_level_db": -3.0}}
-    rows = [replace(row, **planted.get(i, {})) for i, row in enumerate(built)]
-    details = {"recipe": {"threshold": "contactor", "full_scale_m_s2": 100.0}}
-    write_manifest(folder, rows, details=details)
-    shown = read_rows(write_stimulus_page(folder))  # the set changed, so its page follows
-    words = {
-        row.stimulus_id: re.findall(r'class="flag">. ([^<]*)<', shown[row.stimulus_id])
-        for row in rows
-    }
-    assert {name: found for name, found in words.items() if found} == {
-        rows[0].stimulus_id: ["spectral match below −1"],
-        rows[1].stimulus_id: ["clipped"],
-        rows[6].stimulus_id: ["below threshold"],
-    }
-    lead = "3 of 20 stimuli are flagged: 1 spectral match below −1, 1 below threshold, 1 clipped."
-    assert lead in (folder / "index.html").read_text(encoding="utf-8")
-    rows = [replace(row, sensation_level_db=np.nan, spectral_match=0.0) for row in built]
-    write_manifest(folder, rows, details=details)
-    lead = (
-        "None of 20 stimuli is flagged: none is clipped. Level over threshold not known: 20 of 20."
-    )
-    assert lead in write_stimulus_page(folder).read_text(encoding="utf-8")
 
 
 def test_another_page_and_a_damaged_set_are_refused(built: StimulusSet, tmp_path: Path) -> None:
@@ -175,21 +108,8 @@ def test_a_tone_stands_over_the_threshold_by_its_sensation_level(hz: float, thre
     assert found.highest_db == pytest.approx(20 * np.log10(10 * limit / np.sqrt(2)), abs=0.2)
 
 
-@pytest.mark.parametrize("at_s", [0.05, 0.5, 0.97])
-def test_a_tap_stands_over_the_threshold_wherever_it_comes(at_s: float) -> None:
-    time_s = np.arange(RATE) / RATE
-    tap = 30 * np.exp(-(((time_s - at_s) / 0.01) ** 2)) * np.sin(2 * np.pi * 150 * (time_s - at_s))
-    level = sensation_level_db(tap, RATE)
-    found = browser.sketch(tap, RATE, threshold="contactor")
-    # Its energy fills about two bands, so that the strongest one holds some 3 dB less than all.
-    assert level - 6 < found.over_db < level + 0.5
-    drawn = find_darkness(f"base64,{found.spectrogram})").sum(axis=0)
-    assert np.argmax(drawn) / len(drawn) == pytest.approx(at_s, abs=0.05)
-
-
 def test_silence_and_three_axes_are_drawn() -> None:
     silent = browser.sketch(np.zeros(100), RATE, threshold="contactor")
-    assert find_darkness(f"base64,{silent.spectrogram})").max() == 0
     assert silent.over_db < -100
     tone = np.sin(2 * np.pi * 200 * np.arange(RATE) / RATE)
     one, three = (
@@ -287,20 +207,3 @@ def test_a_browser_filters_sorts_and_switches(built: StimulusSet, tmp_path: Path
     assert said["space"] == [[False, True], [False, False], [True, False]]  # pauses, plays, presses
     assert said["cleared"] == ["B", None]
     assert said["wide"][0] <= said["wide"][1]
-
-
-@pytest.mark.soak
-@pytest.mark.skipif(not CHROMIUM, reason="PAGE NOT OPENED: chromium is not installed")
-def test_five_hundred_stimuli_fit_on_a_page(built: StimulusSet, tmp_path: Path) -> None:
-    folder = copy(built, tmp_path)
-    rows = [
-        replace(row, stimulus_id=f"r{turn:02}{row.stimulus_id}", recording=f"r{turn:02}{row.recording}")
-        for turn in range(25)
-        for row in built
-    ]  # fmt: skip
-    details = {"recipe": {"threshold": "contactor", "full_scale_m_s2": 100.0}}
-    write_manifest(folder, rows, details=details)
-    page = write_stimulus_page(folder)
-    assert page.stat().st_size < 5_000_000
-    document, console = open_page(page, tmp_path / "profile")
-    assert (console, "500 of 500 shown" in document) == ("", True)

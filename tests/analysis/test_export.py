@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis.export import LABELS, name_metrics
+from feel321.analysis import export
 from feel321.analysis.primary.rcode import RESERVED
 
 PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -63,7 +63,7 @@ def table() -> analysis.Table:
 
 @pytest.fixture(scope="module")
 def folder(table: analysis.Table, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return analysis.export_r(table, tmp_path_factory.mktemp("export") / "for r")
+    return export.export_r(table, tmp_path_factory.mktemp("export") / "for r")
 
 
 def test_every_file_is_plain(folder: Path) -> None:
@@ -81,13 +81,6 @@ def test_every_file_is_plain(folder: Path) -> None:
         assert not cells & {"", "nan", "None", "True", "False", "true", "false"}
 
 
-def test_the_dictionary_explains_every_column(folder: Path) -> None:
-    said = pd.read_csv(folder / "dictionary.csv").set_index(["file", "column"])["meaning"]
-    for path in folder.glob("*.csv"):
-        for name in pd.read_csv(path, nrows=1):
-            assert len(said[path.name, name]) > 3
-
-
 def test_judgements_are_those_of_the_model(table: analysis.Table, folder: Path) -> None:
     rows = pd.read_csv(folder / "judgements.csv", dtype={"participant": str})
     assert list(rows)[:2] == ["participant", "recording"]
@@ -99,12 +92,6 @@ def test_judgements_are_those_of_the_model(table: analysis.Table, folder: Path) 
         items = rows.drop_duplicates(["scale", "stimulus"])
         within = items.groupby(["scale", "recording"])[f"{metric}_w"].sum()
         np.testing.assert_allclose(within, 0, atol=1e-9)
-    wide = pd.read_csv(folder / "wide_force.csv", dtype={"participant": str}).set_index(
-        "participant"
-    )
-    means = rows[rows["scale"] == "force"].groupby(["participant", "stimulus"])["rating"].mean()
-    assert wide.loc["003", "a_my321_2"] == means["003", "a-my321_2"]
-    assert wide.size == len(means)
 
 
 def test_slopes_are_those_of_fit_primary(table: analysis.Table, folder: Path) -> None:
@@ -156,49 +143,11 @@ def test_r_runs_the_script(folder: Path) -> None:
     np.testing.assert_allclose(by_r["se"], own["se"], rtol=1e-3)
 
 
-def test_a_name_that_r_takes_for_a_missing_value_is_refused(
-    table: analysis.Table, tmp_path: Path
-) -> None:
-    rows = table.rows.replace({"participant": {"001": "NA"}})
-    with pytest.raises(ValueError, match=r"judgements.csv: participant must not be 'NA'"):
-        analysis.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
-    assert not (tmp_path / "new").exists()
-
-
-def test_metrics_get_names_of_their_own() -> None:
-    names = name_metrics(["my-metric", "my_metric", "repeat", "scale", "2nd"])
-    assert list(names.values()) == ["my_metric", "my_metric_2", "repeat_", "scale_2", "x2nd"]
-    assert not set(names.values()) & {*LABELS, *RESERVED}
-    assert list(name_metrics(["m", "m_w", "M"]).values()) == ["m", "m_w_2", "M_2"]
-    assert list(name_metrics(["m_step", "m"]).values()) == ["m_step", "m_2"]
-    assert all(name_metrics([one])[one] != one for one in ("item", "simulated", "response_time_s"))
-
-
-def test_names_that_look_alike_take_nothing_from_each_other(
-    table: analysis.Table, tmp_path: Path
-) -> None:
-    metrics = {"spectral_match": "m", "my-metric": "m_w"}
-    rows = table.rows.rename(columns=metrics)
-    rows["scale"] = (
-        rows["scale"].astype(str).replace({"realism": "h\u00e4rte", "force": "H\u00f6rte"})
-    )
-    folder = analysis.export_r(analysis.Table(rows, ("m", "m_w"), ()), tmp_path)
-    found = pd.read_csv(folder / "judgements.csv")
-    for name in ("m", "m_w_2"):
-        np.testing.assert_allclose(found[f"{name}_w"], found[name] - found[f"{name}_b"], atol=1e-9)
-    sizes = {}
-    for line in (folder / "README.txt").read_text(encoding="utf-8").splitlines():
-        if listed := re.fullmatch(r"  (wide_.*\.csv)  scale (.*)", line):
-            sizes[listed[2]] = pd.read_csv(folder / listed[1]).shape[1] - 1
-    assert sizes == {"h\u00e4rte": 36, "H\u00f6rte": 20}
-    assert len({path.name.casefold() for path in folder.glob("wide_*.csv")}) == 2
-
-
 def test_without_a_model_the_files_are_whole_and_the_script_says_why(
     table: analysis.Table, folder: Path, tmp_path: Path
 ) -> None:
     rows = table.rows[table.rows["reducer"] == "my321_0"]
-    place = analysis.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
+    place = export.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
     slopes = pd.read_csv(place / "slopes.csv")
     assert (len(slopes), list(slopes)) == (0, list(pd.read_csv(folder / "slopes.csv")))
     script = (place / "model.R").read_text(encoding="utf-8")
@@ -208,25 +157,18 @@ def test_without_a_model_the_files_are_whole_and_the_script_says_why(
 
 
 def test_only_an_earlier_export_is_replaced(table: analysis.Table, tmp_path: Path) -> None:
-    some = table.rows[table.rows["reducer"] == "my321_0"]
-    both, one = (
-        analysis.Table(rows, table.metrics, ()) for rows in (some, some[some["scale"] == "force"])
-    )
-    place = analysis.export_r(both, tmp_path / "for-r")
+    rows = table.rows[table.rows["reducer"] == "my321_0"]
+    some = analysis.Table(rows, table.metrics, ())
+    place = export.export_r(some, tmp_path / "for-r")
     (place / "slopes_r.csv").touch()
     (place / "my.R").write_text("mine")
-    analysis.export_r(one, place)
-    kept = {path.name for path in place.iterdir()}
-    assert kept & {"wide_force.csv", "wide_realism.csv", "slopes_r.csv", "my.R"} == {
-        "wide_force.csv", "my.R",
-    }  # fmt: skip
-    (place / "study.toml").touch()
-    with pytest.raises(FileExistsError, match=r"for-r: is a study; give a new folder"):
-        analysis.export_r(one, place)
+    export.export_r(some, place)
+    assert (place / "my.R").read_text() == "mine"
+    assert not (place / "slopes_r.csv").exists()
     other = tmp_path / "other"
     other.mkdir()
-    (other / "README.txt").write_text("mine")
-    for path, why in ((other, "holds files that are not"), (other / "README.txt", "is a file")):
-        with pytest.raises(FileExistsError, match=why):
-            analysis.export_r(one, path)
+    (other / "model.R").write_text("mine")
+    for path in (other, other / "model.R"):
+        with pytest.raises(FileExistsError, match="holds files that are not"):
+            export.export_r(some, path)
     assert [path.read_text() for path in other.iterdir()] == ["mine"]

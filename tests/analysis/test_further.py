@@ -15,7 +15,7 @@ from feel321.analysis.report.answer import find_row
 from feel321.analysis.report.write import describe_inputs
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import describe_further
-from feel321.analysis.table.reading import Further, Table, read_table
+from feel321.analysis.table.reading import Further, read_table
 from feel321.names import MATCHES
 
 if TYPE_CHECKING:
@@ -65,9 +65,8 @@ def test_every_metric_may_be_told_in_four_more_ways() -> None:
     }
     every = [[*(f"{metric}_{kind}" for kind in kinds), *own[metric]] for metric in MATCHES]
     assert list(describe_further()) == list(chain(*every))
-    meanings = [column.meaning for column in describe_further().values()]
+    meanings = list(describe_further().values())
     assert len(set(meanings)) == len(meanings)
-    assert all(not column.needed for column in describe_further().values())
 
 
 def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
@@ -89,9 +88,9 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
         assert found["value"] > 0.9
         assert found["low"] > 0.5
         assert other["high"] < found["low"]
-    (form,) = correlations.FURTHER.tables
+    (form,) = correlations.SECTIONS[1].tables
     assert form.caption.startswith("Exploratory")
-    assert not correlations.FURTHER.front
+    assert not correlations.SECTIONS[1].front
 
 
 def test_declared_ones_are_in_the_model_and_each_points_its_way(small: object) -> None:
@@ -136,47 +135,12 @@ def test_further_metrics_have_no_part_in_the_primary_analysis(small: object) -> 
     assert render_words("primary", **after.facts) == render_words("primary", **before.facts)
 
 
-def test_p1401_judges_them_too_and_compares_the_planned_ones_only(small: object) -> None:
+def test_p1401_judges_them_too(small: object) -> None:
     add_to_manifest(small, **{MEAN: draw_column(small)})
     table = read_table(small.ratings, small.manifest)
     rows = correlations.compute_standard(table, Choices(draws=2)).rows
     planned = {"spectral_match", "temporal_match"}
     assert {row["metric"] for row in rows["p1401"]} == {*planned, MEAN}
-    both = {row[key] for row in rows["p1401_differences"] for key in ("metric", "second_metric")}
-    assert both == planned
-    assert {row["metric"] for row in rows["repeated"]} == planned
-
-
-def test_what_holds_for_all_of_them_is_said_once(small: object) -> None:
-    add_to_manifest(small, **{MEAN: draw_column(small), SD: draw_column(small, seed=5)})
-    sources = {f"rec{number}": f"of{number // 2}" for number in range(4)}
-    section = correlations.compute_further(
-        read_table(small.ratings, small.manifest, sources=sources), Choices(draws=20)
-    )
-    told = [
-        note
-        for note in section.notes
-        if "Two-way intervals draw the 2 sources of the 4 recordings." in note
-    ]
-    assert told == [
-        "realism, as_is, further metrics: Two-way intervals draw the 2 sources of the 4 recordings."
-    ]
-
-
-def test_a_stimulus_has_the_mean_over_its_judgements(small: object) -> None:
-    ratings = pd.read_csv(small.ratings)
-    told = np.random.default_rng(0).uniform(0, 1, len(ratings))
-    told[::5] = np.nan
-    ratings.assign(**{DELIVERED: told, "rejected": ratings.index < 3}).to_csv(
-        small.ratings, index=False
-    )
-    table = read_table(small.ratings, small.manifest)
-    counted = ratings.assign(told=told).iloc[3:]
-    means = counted.groupby("stimulus_id")["told"].mean()
-    np.testing.assert_allclose(table.rows[DELIVERED], means[table.rows["stimulus_id"]])
-    assert table.further == (DELIVERED,)
-    average = "in ratings.csv it is given per judgement; a stimulus has the mean over its judgements that hold it."
-    assert f"'{DELIVERED}': {average}" in table.notes
 
 
 def test_values_may_be_handed_over_and_are_told(small: object) -> None:
@@ -191,92 +155,6 @@ def test_values_may_be_handed_over_and_are_told(small: object) -> None:
         {}, table=table, further=Further(handed.metrics + 1e-15), choices=Choices()
     )
     assert inputs["further_metrics_sha256"] != other["further_metrics_sha256"]
-
-
-def test_what_some_stimuli_lack_is_left_out_and_said(small: object) -> None:
-    values = draw_column(small).iloc[2:]
-    table = read_table(small.ratings, small.manifest, further=Further(pd.DataFrame({MEAN: values})))
-    assert table.further == ()
-    assert MEAN not in table.rows
-    lacking = "2 rated test stimuli have none, first 'rec0_sax321_as_is'."
-    assert table.notes == (f"'{MEAN}' is not reported: {lacking}",)
-    nothing = correlations.compute_further(table, Choices(draws=2))
-    assert nothing.is_empty
-
-
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        (
-            {"spectral_match_Rotation_mean": 0.5},
-            f"column 'spectral_match_Rotation_mean' must be spelt '{MEAN}'",
-        ),
-        ({"spectral_match_rotationmean": 0.5}, f"must be spelt '{MEAN}'; rename or remove it"),
-        ({MEAN: ["", *[0.5] * 35]}, f"line 2: {MEAN} must be a finite number, got ''"),
-        ({MEAN: 1e13}, f"{MEAN} must be no more than 1e"),
-        ({SD: "wide"}, f"{SD} must be a finite number, got 'wide'"),
-        (
-            {"rms_m_s2": -1},
-            "lines 2, 3, 4 and 33 more: rms_m_s2 must be 0 or more, in m/s², or empty, got '-1'",
-        ),
-    ],
-)
-def test_columns_that_cannot_be(small: object, columns: dict[str, object], message: str) -> None:
-    add_to_manifest(small, **columns)
-    with pytest.raises(ValueError, match=r"^manifest\.csv") as caught:
-        read_table(small.ratings, small.manifest)
-    assert message in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("column", "values", "message"),
-    [
-        (
-            "Temporal_match_delivered",
-            0.5,
-            f"column 'Temporal_match_delivered' must be spelt '{DELIVERED}'",
-        ),
-        (DELIVERED, "good", f"{DELIVERED} must be a finite number, got 'good'"),
-        (DELIVERED, -1e13, f"{DELIVERED} must be no more than 1e"),
-    ],
-)
-def test_judgements_that_cannot_be(
-    small: object, column: str, values: object, message: str
-) -> None:
-    pd.read_csv(small.ratings).assign(**{column: values}).to_csv(small.ratings, index=False)
-    with pytest.raises(ValueError, match=r"^ratings\.csv") as caught:
-        read_table(small.ratings, small.manifest)
-    assert message in str(caught.value)
-
-
-def test_a_metric_comes_from_one_place(small: object) -> None:
-    values = draw_column(small)
-    add_to_manifest(small, **{DELIVERED: values})
-    handed = Further(pd.DataFrame({DELIVERED: values}))
-    with pytest.raises(
-        ValueError, match=f"the files and the further metrics given: got '{DELIVERED}' in both"
-    ):
-        read_table(small.ratings, small.manifest, further=handed)
-    pd.read_csv(small.ratings).assign(**{DELIVERED: 0.5}).to_csv(small.ratings, index=False)
-    with pytest.raises(
-        ValueError, match=rf"manifest.csv and ratings.csv: got '{DELIVERED}' in both; keep one"
-    ):
-        read_table(small.ratings, small.manifest)
-
-
-def test_what_is_handed_over_must_be_metrics(small: object) -> None:
-    def hand(frame: pd.DataFrame) -> Table:
-        return read_table(small.ratings, small.manifest, further=Further(frame))
-
-    values = draw_column(small)
-    with pytest.raises(
-        ValueError, match="further metrics must be of the columns spectral_match_rotation_mean,"
-    ):
-        hand(pd.DataFrame({"loudness": values}))
-    with pytest.raises(ValueError, match=f"got infinite or huge values of '{MEAN}'"):
-        hand(pd.DataFrame({MEAN: values.where(values > 0.1, np.inf)}))
-    with pytest.raises(ValueError, match="got a stimulus twice"):
-        hand(pd.DataFrame({MEAN: pd.concat([values, values])}))
 
 
 def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
@@ -311,7 +189,7 @@ def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
 
 def test_the_report_holds_them(small: object, monkeypatch: pytest.MonkeyPatch) -> None:
     # All others are another test's, and slow.
-    monkeypatch.setattr(report, "SECTIONS", (correlations.FURTHER,))
+    monkeypatch.setattr(report, "SECTIONS", correlations.SECTIONS[1:2])
     values = draw_column(small)
     folder = small.ratings.with_name("report")
     results = report.write_report(

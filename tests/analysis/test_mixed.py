@@ -10,7 +10,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import build_design
 from feel321.analysis.mixed.model import contrast, find_uncertainty, fit_mixed
 from feel321.analysis.mixed.optimum import Profile, find_optimum, find_sigma
@@ -200,8 +199,9 @@ def test_people_whose_rows_are_alike_share_a_block_in_whatever_order_rows_stand(
         profile = Profile(build_design(WHOLE, table), reml=True)
         assert profile.unit_factor.name == "who"
         assert len(profile.counts) == kinds
-        # A person's level, two slopes, 5 scenes and 4 kinds; everybody's 5 scenes, 20 stimuli and 4 kinds.
-        assert (profile.own.size, profile.n_random) == (12, 29)
+        # A person's level, two slopes, 5 scenes and 4 kinds; everybody's 5 scenes, 20 stimuli and 4 kinds. Of alike
+        # people, the mean rows: stimuli are their residual.
+        assert (profile.own.size, profile.n_random) == (12, 29 if kinds > 1 else 12 + 9)
     whole, mixed = (
         fit_mixed(WHOLE, table) for table in (data, data.sample(frac=1, random_state=1))
     )
@@ -227,28 +227,6 @@ def test_no_better_minimum_nearby_in_small_studies_most_of_them_singular() -> No
     assert singular >= 6
 
 
-def test_boundary_is_left_where_the_deviance_falls() -> None:
-    profile = Profile(build_design("y ~ a + (1 | who)", make_study(5)), reml=True)
-    stuck = profile.evaluate(np.zeros(1))
-    freed = optimum._leave_boundary(profile, stuck)
-    assert freed is not None
-    assert freed.theta[0] > 0.3
-    assert optimum._leave_boundary(profile, freed) is None
-
-
-def test_equations_that_cannot_be_solved_are_refused_in_words(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    profile = Profile(build_design("y ~ a + (1 | who)", make_study(5)), reml=True)
-
-    def fail(_: np.ndarray) -> None:
-        raise np.linalg.LinAlgError
-
-    monkeypatch.setattr(profile, "evaluate", fail)
-    with pytest.raises(ValueError, match="without residual"):
-        find_optimum(profile)
-
-
 def test_balanced_one_way_has_the_textbook_answer() -> None:
     """Method of moments: the spread between groups is (MSB - MSW) / n, and the mean's df is groups - 1."""
     data = make_study(6)
@@ -263,22 +241,6 @@ def test_balanced_one_way_has_the_textbook_answer() -> None:
     assert fit.effects["value"].to_numpy() == pytest.approx(shrunk.to_numpy(), rel=1e-4)
 
 
-def test_groups_that_differ_less_than_chance_leave_ordinary_regression() -> None:
-    data = pd.DataFrame({"g": np.repeat(list("abcdef"), 5), "y": np.tile([-2.0, -1, 0, 1, 3], 6)})
-    fit = fit_mixed("y ~ 1 + (1 | g)", data)
-    assert fit.singular
-    assert fit.variances["sd"].tolist() == [0.0]
-    assert fit.notes == (
-        "Singular fit: the spread of (Intercept) over g is estimated as zero, and kept.",
-    )
-    assert fit.fixed.loc["(Intercept)", ["estimate", "se", "df"]].tolist() == pytest.approx([
-        data["y"].mean(),
-        data["y"].std() / np.sqrt(30),
-        29,
-    ])
-    assert (fit.marginal_r2, fit.conditional_r2) == pytest.approx((0, 0))
-
-
 def test_contrast_is_the_refitted_difference(fit: MixedFit) -> None:
     data = make_study(1)
     turned = fit_mixed(FULL.replace("y ~ a + b", "y ~ I(a - b) + I(a + b)"), data)
@@ -289,20 +251,6 @@ def test_contrast_is_the_refitted_difference(fit: MixedFit) -> None:
     assert difference.se == pytest.approx(expected.se, rel=1e-5)
     assert difference.df == pytest.approx(expected.df, rel=1e-4)
     assert difference.p == pytest.approx(expected.p, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        ({"c": 1}, "terms of the model ((Intercept), a, b), got 'c'"),
-        ({"a": 0}, "one of them other than 0"),
-        ({"a": float("nan")}, "finite"),
-    ],
-)
-def test_contrast_refuses(fit: MixedFit, weights: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared below
-        contrast(fit, weights)
-    assert message in str(caught.value)
 
 
 def test_fit_hangs_together(fit: MixedFit) -> None:
@@ -325,22 +273,6 @@ def test_fit_hangs_together(fit: MixedFit) -> None:
         "scene:kind": 20,
         "who:scene": 30,
     }
-
-
-def test_units_change_nothing_but_units() -> None:
-    data = make_study(7)
-    plain = fit_mixed("y ~ a + (a | who)", data)
-    scaled = fit_mixed("y ~ a + (a | who)", data.assign(a=data["a"] * 1e-6, y=data["y"] * 1e8))
-    assert scaled.fixed["t"].to_numpy() == pytest.approx(plain.fixed["t"].to_numpy(), rel=1e-4)
-    assert scaled.fixed["df"].to_numpy() == pytest.approx(plain.fixed["df"].to_numpy(), rel=1e-3)
-    assert scaled.variances["sd"][1] == pytest.approx(plain.variances["sd"][1] * 1e14, rel=1e-3)
-
-
-def test_response_may_be_arithmetic() -> None:
-    data = make_study(9)
-    tenth = fit_mixed("y / 10 ~ a + (1 | who)", data)
-    whole = fit_mixed("y ~ a + (1 | who)", data)
-    assert tenth.fixed["se"].to_numpy() * 10 == pytest.approx(whole.fixed["se"].to_numpy())
 
 
 @pytest.mark.parametrize(
@@ -398,31 +330,6 @@ def test_data_refused(change: dict[str, Any], message: str) -> None:
     assert message in str(caught.value)
 
 
-def test_no_rows_or_no_more_than_effects_refused() -> None:
-    data = make_study(1)
-    with pytest.raises(ValueError, match="got no rows"):
-        fit_mixed("y ~ a + (1 | who)", data.iloc[:0])
-    with pytest.raises(ValueError, match="3 rows for 3 fixed effects"):
-        fit_mixed("y ~ a + b + (1 | scene)", data.iloc[[0, 1, 4]])
-
-
-@pytest.mark.parametrize("formula", ["y ~ a + (1 | who)", "y ~ a + (a | who)"])
-def test_no_residual_refused(formula: str) -> None:
-    data = make_study(1)
-    exact = data["a"] + np.sqrt(data["who"] + 1.0)
-    with pytest.raises(ValueError, match="without residual"):
-        fit_mixed(formula, data.assign(y=exact))
-
-
-def test_categories_without_rows_are_no_effects() -> None:
-    data = make_study(1).query("kind < 3")
-    kinds = pd.Categorical(
-        data["kind"].map({0: "x", 1: "y", 2: "z"}), categories=["y", "w", "x", "z"]
-    )
-    fit = fit_mixed("y ~ kind + (1 | who)", data.assign(kind=kinds))
-    assert fit.fixed.index.tolist() == ["(Intercept)", "kindx", "kindz"]
-
-
 def test_perfectly_tied_effects_are_singular_in_words() -> None:
     rng = np.random.default_rng(3)
     data = make_study(1)
@@ -475,7 +382,7 @@ def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says(
     ]
     unit = np.append(np.maximum(best.theta, 1), 1)[places]
     wanted = 2 * np.linalg.inv(np.array(hessian) * np.outer(unit, unit))
-    known = find_uncertainty(profile, best).parameters[np.ix_(places, places)]
+    known = find_uncertainty(profile, best)[1].parameters[np.ix_(places, places)]
     assert known == pytest.approx(wanted, rel=2e-2, abs=1e-4)
 
 
@@ -503,18 +410,6 @@ def test_penalised_spread_is_never_zero_and_vanishes_in_the_mass() -> None:
     assert pulled == pytest.approx(plain, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("penalty", "formula", "message"),
-    [
-        (["kin"], WHOLE, "groups of the formula .*got 'kin'"),
-        (["who"], "y ~ a + (a | who)", "correlated"),
-    ],
-)
-def test_penalties_refused(penalty: list[str], formula: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        fit_mixed(formula, make_study(1), penalty=penalty)
-
-
 def test_scales_from_a_millionth_to_a_million_change_nothing() -> None:
     # lme4 itself stops 17 above the minimum on such columns, and calls it singular.
     data = make_study(7)
@@ -537,33 +432,6 @@ def test_large_spreads_keep_their_degrees_of_freedom(ratio: float) -> None:
     df = fit_mixed("y ~ x + (1 | who)", data).fixed["df"]
     # Balanced: people less one, and rows less people and the slope.
     assert df.tolist() == pytest.approx([9, 39], rel=0.01)
-
-
-def test_any_index_and_any_name_in_quotes() -> None:
-    data = make_study(5)
-    plain = fit_mixed("y ~ a + (a | who)", data)
-    moved = data.set_index(["who", "scene"], drop=False).rename(columns={"a": "a - b", "who": "w+"})
-    quoted = fit_mixed("y ~ `a - b` + (`a - b` | `w+`)", moved)
-    assert quoted.criterion == plain.criterion
-    assert quoted.fixed.index.tolist() == ["(Intercept)", "a - b"]
-
-
-def test_what_is_no_table_with_names_is_refused() -> None:
-    data = make_study(5)
-    with pytest.raises(TypeError, match="data must be a pandas DataFrame"):
-        fit_mixed("y ~ a + (1 | who)", {"y": [1.0], "a": [1.0], "who": [1]})
-    with pytest.raises(ValueError, match="each column once, got 'a' twice"):
-        fit_mixed("y ~ a + (1 | who)", pd.concat([data, data[["a"]]], axis=1))
-
-
-def test_a_double_bar_keeps_the_levels_of_a_category_together() -> None:
-    data = make_study(4)
-    data["kind"] = "k" + data["kind"].astype(str)
-    fit = fit_mixed("y ~ kind + (kind || who)", data)
-    assert fit.variances["term"].tolist() == ["(Intercept)", "kindk0", "kindk1", "kindk2", "kindk3"]
-    assert len(fit.correlations) == 6
-    with pytest.raises(ValueError, match="cannot read 'a b'"):
-        fit_mixed("y ~ a + (a b || who)", data)
 
 
 def test_names_are_those_of_r_whatever_pandas_keeps_the_columns_in() -> None:
@@ -589,10 +457,3 @@ def test_double_bar_slash_and_backticks_are_short_for_what_they_say() -> None:
     assert short.criterion == pytest.approx(long.criterion)
     assert short.variances["group"].tolist() == ["who", "who", "scene", "kind:scene"]
     assert short.variances["sd"].tolist() == pytest.approx(long.variances["sd"].tolist())
-
-
-def test_equations_beyond_memory_are_refused_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(optimum, "MOST_LEVELS", 10)
-    message = "at most 10 effects beside those of .*, for memory, got 1[0-9]; average"
-    with pytest.raises(ValueError, match=message):
-        fit_mixed("y ~ a + (1 + a || who) + (1 | scene:kind) + (1 | kind)", make_study(1))

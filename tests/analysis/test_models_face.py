@@ -12,12 +12,12 @@ import pytest
 from statsmodels.stats.multitest import multipletests
 
 from feel321 import analysis
+from feel321.analysis import space, standard
+from feel321.analysis.contrasts import compare
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.table.items import Table
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from feel321.records import Result
 
 METRICS = ["sm", "tm"]
@@ -58,23 +58,22 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "repeated": analysis.repeated_measures_correlation(rows, "sm"),
         "dependent": analysis.compare_dependent(1.0, 0.2, 0.2, 20),
         "intraclass": analysis.intraclass(rows),
-        "alpha": analysis.krippendorff_alpha(rows, draws=20),
         "p1401": analysis.p1401(rows, "sm"),
-        "p1401_difference": analysis.compare_p1401(*(analysis.p1401(rows, one) for one in METRICS)),
+        "p1401_difference": standard.compare_p1401(*(analysis.p1401(rows, one) for one in METRICS)),
         "equivalence": analysis.equivalence(1, 1, 9, low=-3, high=3),
-        "non_inferiority": analysis.non_inferiority(1, 1, 9, margin=-3),
+        "non_inferiority": compare.non_inferiority(1, 1, 9, margin=-3),
         "discrimination": analysis.discriminate(24, 24),
         "bradley_terry": analysis.bradley_terry(
             pd.DataFrame({"winner": list("aabbcc"), "loser": list("bcacab")})
         ),
         "space": analysis.fit_space(maps, draws=3),
-        "alignment": analysis.align_spaces(maps[0], maps[1], permutations=9),
+        "alignment": space.align_spaces(maps[0], maps[1], permutations=9),
     }
 
 
 NAMES = [
     "primary", "primaries", "fit", "contrast", "screening", "association", "difference",
-    "reducers", "repeated", "dependent", "intraclass", "alpha", "p1401", "p1401_difference", "equivalence",
+    "reducers", "repeated", "dependent", "intraclass", "p1401", "p1401_difference", "equivalence",
     "non_inferiority", "discrimination", "bradley_terry", "space", "alignment",
 ]  # fmt: skip
 
@@ -149,7 +148,7 @@ def test_contrasts_in_words_are_those_of_the_mapping(rows: pd.DataFrame) -> None
     fit = analysis.fit_mixed("rating ~ sm + tm + (1 | participant)", rows)
     assert analysis.contrast(fit, "sm - 0.5 * tm") == analysis.contrast(fit, {"sm": 1, "tm": -0.5})
     assert analysis.contrast(fit, "-tm") == analysis.contrast(fit, {"tm": -1})
-    with pytest.raises(ValueError, match="got 'zm'"):
+    with pytest.raises(ValueError, match=r"of the model .*got .*zm"):
         analysis.contrast(fit, "sm - zm")
 
 
@@ -167,39 +166,3 @@ def test_holm_is_that_of_statsmodels() -> None:
     for p in ([0.5, 0.5, 0.01], [0.0, 1.0, 0.03], *(rng.uniform(0, 1, n) ** 3 for n in (1, 2, 9))):
         np.testing.assert_allclose(adjust_holm(p), multipletests(p, method="holm")[1])
     np.testing.assert_allclose(adjust_holm([0.01, np.nan, 0.04, 0.03]), [0.03, np.nan, 0.06, 0.06])
-
-
-def test_one_of_several_scales_is_chosen_in_single_comparisons(
-    rows: pd.DataFrame, both: pd.DataFrame
-) -> None:
-    for call in (
-        lambda part, **which: analysis.correlate(part, "sm", draws=20, **which),
-        lambda part, **which: analysis.compare_metrics(part, "sm", "tm", draws=20, **which),
-        lambda part, **which: analysis.compare_reducers(part, "x", "y", margin=5, **which),
-    ):
-        assert call(both, scale="realism") == call(rows)
-        assert call(Table(both.assign(matched=True), (), ()), scale="realism") == call(rows)
-        with pytest.raises(ValueError, match="scale must be one of realism, similarity"):
-            call(both, scale="realsim")
-
-
-def test_without_a_margin_there_are_intervals_and_no_verdict(rows: pd.DataFrame) -> None:
-    found = analysis.compare_reducers(rows, "x", "y")
-    chosen = analysis.compare_reducers(rows, "x", "y", margin=5)
-    assert found.equivalent is None
-    assert found.non_inferior is None
-    assert np.isnan([found.margin_low, found.margin_high, found.p_equivalence]).all()
-    assert found.low < found.low90 < found.estimate < found.high90 < found.high
-    within = chosen.low90 > -5 and chosen.high90 < 5
-    assert (chosen.low90, chosen.equivalent) == (found.low90, within)
-
-
-def test_papers_and_r_get_the_model_that_was_fitted(rows: pd.DataFrame, tmp_path: Path) -> None:
-    primary = analysis.fit_primary(rows, METRICS)
-    assert primary.to_latex().startswith(r"\begin{tabular}")
-    text = primary.to_r(tmp_path / "new")
-    assert f'lmer_penalised({primary.formula}, model, "reducer")' in text
-    assert (tmp_path / "new" / "model.R").read_text(encoding="utf-8") == text
-    frame = pd.read_csv(tmp_path / "new" / "model.csv")
-    again = analysis.fit_mixed(primary.formula, frame, penalty=["reducer"])
-    np.testing.assert_allclose(again.fixed["estimate"], primary.fit.fixed["estimate"], rtol=1e-6)

@@ -68,7 +68,7 @@ def test_one_participant_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> N
         ),
         (
             lambda table: table.assign(rating="good"),
-            "ratings, 'rating' must hold numbers, got 'good'",
+            "ratings, 'rating' must hold numbers: could not convert string to float: 'good'",
         ),
     ],
 )

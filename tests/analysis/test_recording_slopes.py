@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from itertools import pairwise
 
 import numpy as np
@@ -83,12 +82,6 @@ def test_few_recordings_widen_intervals_in_words() -> None:
     assert "(1 + sm_w + tm_w || recording)" in few.formula
 
 
-def test_r_gets_the_same_terms() -> None:
-    primary = fit_primary(make_null(3, recordings=4), METRICS, explain=False)
-    line = next(line for line in primary.to_r().splitlines() if line.startswith("fit <- "))
-    assert re.search(r"lmer\(rating ~ .*\(1 \+ sm_w \+ tm_w \|\| recording\)", line)
-
-
 def add_level(rows: pd.DataFrame, slope: float = 2.0) -> pd.DataFrame:
     """Levels that go with the first metric, as they do where energy is lost, and ratings that follow them alone."""
     items = rows.drop_duplicates("item").set_index("item")
@@ -146,9 +139,3 @@ def test_the_level_that_is_known_is_taken(louder: pd.DataFrame, change: dict, st
     primary = fit_primary(rows.query("recording < 5"), METRICS, explain=False)
     assert primary.level == state
     assert ("level_db" in primary.formula) == (state == "in_model")
-
-
-def test_level_as_a_metric_is_the_metric(louder: pd.DataFrame) -> None:
-    metrics = ["sm", "sensation_level_db"]
-    primary = fit_primary(louder.query("recording < 5"), metrics, explain=False)
-    assert (primary.level, primary.slopes.index.tolist()) == ("metric", metrics)

@@ -20,7 +20,7 @@ import pandas as pd
 import pytest
 from scipy.stats import binom
 
-from feel321.analysis.agreement import intraclass, krippendorff_alpha
+from feel321.analysis.agreement import intraclass
 from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
@@ -57,7 +57,6 @@ CLASSIC = (
 SHOWN = (
     "standardised",  # the interval holds for this study's standard deviations; here the truth is of all studies'
     "difference of standardised",
-    "alpha, other people too",  # it draws recordings only, and says so
     "repeated-measures correlation, shared stimuli",  # rows of one stimulus share its metric, whatever the noise
     "icc_1_1",  # one-way: for raters who differ from stimulus to stimulus
 )
@@ -251,9 +250,7 @@ def judge_associations(
             )
 
 
-def judge_classics(
-    plant: Plant, study: Study, rng: np.random.Generator
-) -> Iterator[tuple[str, bool]]:
+def judge_classics(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
     truth, rows = find_truth(plant), study.rows
     r = np.tanh(truth.z["pearson"][0])
     standard = p1401(study.table, study.metrics[0], order=1)
@@ -268,8 +265,6 @@ def judge_classics(
     icc = intraclass(study.table)
     for name, wanted in {**truth.reliability, **step_up(truth.reliability, plant.people)}.items():
         yield name, getattr(icc, f"{name}_low") <= wanted <= getattr(icc, f"{name}_high")
-    alpha = krippendorff_alpha(study.table, groups=study.recordings, draws=DRAWS, rng=rng)
-    yield "alpha, other people too", alpha.low <= truth.reliability["icc_a_1"] <= alpha.high
 
 
 def step_up(single: dict[str, float], k: int) -> dict[str, float]:
@@ -279,14 +274,6 @@ def step_up(single: dict[str, float], k: int) -> dict[str, float]:
         for kind in "ac"
         for one in [single[f"icc_{kind}_1"]]
     }
-
-
-def judge_alpha(plant: Plant, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
-    people = make_people(plant, rng)
-    study = simulate(plant, rng, people=people)
-    found = krippendorff_alpha(study.table, groups=study.recordings, draws=DRAWS, rng=rng)
-    wanted = krippendorff_alpha(simulate(replace(plant, recordings=300), rng, people=people).table)
-    yield "alpha, these people", found.low <= wanted <= found.high
 
 
 def judge_rows(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
@@ -385,13 +372,13 @@ def run_study(name: str, seed: int) -> dict[str, bool]:
     study = simulate(plant, rng)
     judges: dict[str, Callable[[], Iterator[tuple[str, bool]]]] = {
         "crossed": lambda: chain(
-            judge_primary(plant, study), judge_associations(plant, study, rng), judge_classics(plant, study, rng),
-            judge_alpha(plant, rng), judge_contrasts(plant, study), judge_profile(study),
+            judge_primary(plant, study), judge_associations(plant, study, rng), judge_classics(plant, study),
+            judge_contrasts(plant, study), judge_profile(study),
         ),
         "null": lambda: chain(judge_null(plant, study, rng), judge_contrasts(plant, study)),
         "own": lambda: judge_null(plant, study, rng),
         "equal": lambda: judge_tests(study, rng),
-        "plain": lambda: chain(judge_classics(plant, study, rng), judge_alpha(plant, rng), judge_rows(rng)),
+        "plain": lambda: chain(judge_classics(plant, study), judge_rows(rng)),
         "plain equal": lambda: judge_tests(study, rng),
     }  # fmt: skip
     return {check: bool(hit) for check, hit in judges[name]()}

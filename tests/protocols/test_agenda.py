@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.texts import read_texts
-from feel321.protocols.trial import Flow, Judgement, Page, Part, Trial
+from feel321.protocols.trial import LOST, SPOILED, VALID, Flow, Judgement, Page, Part, Trial
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -45,9 +45,8 @@ def walk(
         else:
             steps.append(step.number)
             accepted, as_expected = answer(step, agenda.attempt(step.number))
-            agenda.tell_trial(
-                step.number, accepted=accepted, as_expected=as_expected, time_s=time_s
-            )
+            outcome = VALID if accepted else SPOILED
+            agenda.tell_trial(step.number, outcome, as_expected=as_expected, time_s=time_s)
     return steps
 
 
@@ -61,7 +60,7 @@ def pass_by(agenda: Agenda, time_s: float = 0.0) -> None:
     if isinstance(step, Page):
         agenda.tell_page(step.key, time_s=time_s)
     elif step is not None:
-        agenda.tell_trial(step.number, accepted=True, as_expected=None, time_s=time_s)
+        agenda.tell_trial(step.number, VALID, as_expected=None, time_s=time_s)
 
 
 @pytest.mark.parametrize(
@@ -217,7 +216,7 @@ def test_a_bad_trial_comes_again(blocks: str, bad: int, order: list[int]) -> Non
 def test_a_trial_that_stays_bad_is_given_up_and_the_session_goes_on() -> None:
     agenda = Agenda([make_trial(1), make_trial(2)], replace(CALM, max_attempts=2))
     assert trials_of(walk(agenda, lambda trial, _: (trial.number != 1, None))) == [1, 2, 1]
-    assert (agenda.done, agenda.given_up) == (agenda.total, 1)
+    assert (agenda.answered, agenda.given_up, agenda.total) == (1, 1, 2)
 
 
 def test_a_device_that_fails_spends_no_attempt() -> None:
@@ -226,9 +225,9 @@ def test_a_device_that_fails_spends_no_attempt() -> None:
     while not isinstance(agenda.ask(), Trial):
         pass_by(agenda)
     for number in (1, 2) * 3:  # one stimulus after another does not reach the hand
-        bad = {"accepted": False, "as_expected": None, "time_s": 0.0}
-        agenda.tell_trial(number, **bad, spent=number == 1, lost=True)
+        agenda.tell_trial(number, LOST, as_expected=None, time_s=0.0)
     assert (agenda.done, agenda.attempt(1), agenda.attempt(2)) == (0, 4, 4)
+    assert agenda.lost_in_a_row == 6
 
 
 def test_warming_up_repeats_the_practice_of_the_task_at_hand() -> None:
@@ -272,7 +271,7 @@ def test_the_time_to_the_next_break_starts_anew_after_warming_up() -> None:
 def test_a_step_that_was_not_next_is_refused() -> None:
     agenda = Agenda([make_trial(1)], CALM)
     with pytest.raises(ValueError, match="got trial 1, expected page 'welcome'"):
-        agenda.tell_trial(1, accepted=True, as_expected=None, time_s=0)
+        agenda.tell_trial(1, VALID, as_expected=None, time_s=0)
     walk(agenda)
     with pytest.raises(ValueError, match="got page 'end', expected the end"):
         agenda.tell_page("end", time_s=0)

@@ -2,25 +2,26 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from dataclasses import asdict, replace
+from dataclasses import replace
 from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from feel321.protocols import order as orders_module
-from feel321.protocols.balance import count_rows, measure_balance, shuffle_rows, williams_row
+from feel321.protocols.compare import count_rows, williams_row
 from feel321.protocols.order import (
     ORDERS,
     arrange_sections,
     find_crowding,
     make_order,
     make_rehearsal,
+    measure_balance,
     order_tasks,
+    shuffle_rows,
 )
 from feel321.protocols.tasks import PROTOCOLS, find_other, make_task
 from feel321.protocols.trial import Item
@@ -293,26 +294,11 @@ def test_a_recording_without_anything_to_judge_is_left_out_and_a_task_without_an
         order_abx(only)
 
 
-def test_a_table_of_items_names_of_tasks_and_a_seed_give_the_same_order(items: list[Item]) -> None:
-    table = pd.DataFrame([asdict(item) for item in items]).iloc[:, ::-1]
-    trials = make_order(table, ["realism"], number=2, rng=1)
-    assert trials == order(items, 2)
-    assert list(trials.to_frame()["stimulus_id"]) == [get_stimulus(t) for t in trials]
-    balance = measure_balance([make_order(table, ["realism"], number=n) for n in range(1, 7)])
-    assert balance.to_frame().shape == (len(items), len(items))
-    assert measure_balance(["AB", "BA"]) == measure_balance([["A", "B"], ["B", "A"]])
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [
         (lambda items: make_order(items, "realism", number=1), "tasks must be a list"),
         (lambda items: make_order(items, ["realism"], number=1, rng="x"), "rng must be a whole"),
-        (
-            lambda items: measure_balance(make_order(items, ["realism"], number=1)),
-            "one sequence per",
-        ),
-        (lambda _: measure_balance("AB"), r"write \[sequence\]"),
     ],
 )
 def test_what_is_no_list_is_refused(items: list[Item], make: Any, message: str) -> None:
@@ -354,7 +340,8 @@ def test_tasks_are_as_often_at_each_place_and_after_each_other(n_tasks: int) -> 
         for number in range(1, count_rows(n_tasks) + 1)
     ]
     balance = measure_balance(rows)
-    assert (balance.position_index, balance.carry_over_index, balance.repeats) == (0, 0, 0)
+    assert balance.positions.measure_variation() == balance.carry_over.measure_variation() == 0
+    assert balance.repeats == 0
     assert rows[0] == list(TASKS[:n_tasks]) or n_tasks > 2
 
 

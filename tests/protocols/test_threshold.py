@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -18,14 +17,23 @@ from feel321.protocols.threshold import (
     ThresholdPlan,
     estimate_threshold,
     predict_correct,
-    resume,
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.random import Generator
 
 PLAN = ThresholdPlan(lowest_db=-60, highest_db=0, start_db=-10)
 NAMES = list(PROCEDURES)
+
+
+def resume(name: str, plan: ThresholdPlan, *, answers: Sequence[int] = ()) -> Procedure:
+    """A procedure as it is after the given answers."""
+    procedure = PROCEDURES.find(name)(plan)
+    for answer in answers:
+        procedure.update(answer)
+    return procedure
 
 
 @dataclass(frozen=True)
@@ -149,9 +157,9 @@ def test_a_staircase_by_hand() -> None:
     estimate = estimate_threshold(procedure)
     # reversals at -26, -18, -22 and -18, the last two with the last step; a valley alone is no estimate
     valley = estimate_threshold(resume("staircase", procedure.plan, answers=procedure.answers[:14]))
-    assert (valley.reversals, str(valley.threshold_db)) == (0, "nan")
+    assert str(valley.threshold_db) == "nan"
     assert valley.notes[0] == "no threshold: too few reversals with the last step"
-    assert (estimate.reversals, estimate.threshold_db) == (2, -20)
+    assert estimate.threshold_db == -20
 
 
 def test_levels_are_chosen_for_the_least_expected_entropy() -> None:
@@ -219,7 +227,7 @@ def test_levels_stay_within_the_rig(name: str, threshold_db: float, limit: float
     assert max(levels) <= 0
     assert limit in levels
     estimate = estimate_threshold(procedure)
-    assert estimate.at_limit > 10
+    assert levels.count(limit) > 10
     assert "the interval reaches beyond the rig's levels" in " ".join(estimate.notes)
 
 
@@ -286,12 +294,11 @@ def test_notes_name_one_interval_and_a_break() -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_an_estimate_without_answers_is_the_prior(name: str) -> None:
     estimate = estimate_threshold(resume(name, PLAN))
-    assert (estimate.trials, estimate.catch_trials) == (0, 0)
+    assert estimate.catch_trials == 0
     assert np.isnan(estimate.threshold_db) == (name == "staircase")
     assert (estimate.threshold_low_db, estimate.threshold_high_db) == pytest.approx(
         (-64.2, 4.2), abs=0.3
     )
-    assert json.loads(json.dumps(estimate.to_dict(), allow_nan=False))["trials"] == 0
 
 
 @pytest.mark.parametrize(

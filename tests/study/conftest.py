@@ -15,14 +15,15 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Records
-from feel321.study.session.plan import Design, Plan, Stale, create_plan, make_plan, open_session
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Design, Plan, Stale, create_plan, make_plan
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.protocols.trial import Page, Part, Scale, Trial
     from feel321.study.session.journal import Clock
     from feel321.study.session.ports import Place

@@ -19,8 +19,9 @@ from feel321.study.actuator.response import Sweep, make_inverse, make_sweep, mea
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig, take_device
 from feel321.study.actuator.simulated import SimulatedCoil
 from feel321.study.auditing.study import audit_study
-from feel321.study.lab import Visit, run_participant
+from feel321.study.lab import run_participant
 from feel321.study.session.journal import read_journal
+from feel321.study.sessions import read_room
 from feel321.study.workflow import check_study
 
 if TYPE_CHECKING:
@@ -59,8 +60,9 @@ def visit(study: StudyFolder, *, days: float = 0, **choices: Any) -> list[str]:
     """Run a session some days later, and return what it warns of."""
     warnings: list[str] = []
     now = NOW + timedelta(days=days)
-    person = Visit("p01", **{"device": DEVICE, **choices})
-    run_participant(study, person, now=lambda: now, warn=warnings.append)
+    simulated = choices.pop("simulated", False)
+    room = replace(read_room(study, now=lambda: now), **{"device": DEVICE, **choices})
+    run_participant(room, "p01", simulated=simulated, warn=warnings.append)
     return warnings
 
 

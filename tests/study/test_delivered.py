@@ -13,8 +13,9 @@ import pytest
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import lab
 from feel321.study.auditing.study import audit_study
-from feel321.study.lab import Visit, run_participant
+from feel321.study.lab import run_participant
 from feel321.study.ratings import write_ratings
+from feel321.study.sessions import read_room
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -54,10 +55,10 @@ def ready(smallest: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(lab, "find_spec", lambda _: "there")
 
     @contextmanager
-    def open_presenter(plan: Any, *_: object, lab: Any) -> Iterator[Any]:
+    def open_presenter(plan: Any, *_: object, room: Any) -> Iterator[Any]:
         from feel321.study.lab import _open_output
 
-        with _open_output(plan, lab=lab, clock=perf_counter) as output:
+        with _open_output(plan, room=room, clock=perf_counter) as output:
             presenter = scripted()
 
             def play(_part: Any, stimulus: Any, *, gap_s: float) -> Any:  # noqa: ARG001 - no time for gaps
@@ -75,7 +76,7 @@ def ready(smallest: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch)
 
 def run(study: StudyFolder, participant: str, *, full_scale: float) -> list[dict[str, str]]:
     study.rig.write_text(RIG.format(full_scale=full_scale), encoding="utf-8")
-    run_participant(study, Visit(participant), now=lambda: datetime.now(UTC))
+    run_participant(read_room(study, now=lambda: datetime.now(UTC)), participant)
     write_ratings(study, read_stimuli(study.stimuli))
     with study.ratings.open(encoding="utf-8", newline="") as file:
         return [row for row in csv.DictReader(file) if row["participant"] == participant]

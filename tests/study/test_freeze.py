@@ -26,7 +26,8 @@ from feel321.study.freeze import (
 )
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
-from feel321.study.session.plan import Stale, create_plan, make_plan, open_session
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Stale, create_plan, make_plan
 from feel321.study.settings.read import make_design, make_identity, read_settings
 from feel321.study.simulation import simulate_study
 
@@ -252,8 +253,8 @@ def test_what_is_frozen_is_shown(smallest: StudyFolder, capsys: pytest.CaptureFi
     assert main(["freeze", str(smallest.path), "--show"]) == 0
     text = capsys.readouterr().out
     for said in (
-        "Everybody prefers mag321.", "get higher realism ratings (level as is)", "(1 | participant:reducer)",
-        "session.quality.min_response_s = 0.2", "  analysis.margin: was not set, now 4.0",
+        "Everybody prefers mag321.", "metric temporal_match", "(1 | participant:reducer)",
+        "  analysis.margin: was not set, now 4.0",
     ):  # fmt: skip
         assert said in text
     assert main(["freeze", str(smallest.path), "--show", "--json"]) == 0
@@ -337,7 +338,7 @@ def test_the_report_of_a_frozen_study(
     from feel321.analysis.report import primary, reducers
 
     monkeypatch.setattr(
-        "feel321.analysis.report.write.SECTIONS", (primary.SECTION, reducers.PROFILES)
+        "feel321.analysis.report.write.SECTIONS", (primary.SECTIONS[0], reducers.SECTIONS[1])
     )
     monkeypatch.setattr("feel321.analysis.report.folder.save_figure", _save_nothing)
     freeze(smallest)

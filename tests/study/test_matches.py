@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from feel321.protocols.blocks import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
 from feel321.protocols.tasks import make_task
+from feel321.protocols.threshold import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
 from feel321.protocols.trial import MATCHING, Flow
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.auditing.study import audit_study
@@ -23,7 +23,8 @@ from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import Participant
 from feel321.study.ratings import MATCHES_FILE, describe_matches, summarise_matches
 from feel321.study.session.engine import run_session
-from feel321.study.session.plan import Design, Stale, create_plan, make_plan, open_session
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Design, Stale, create_plan, make_plan
 from feel321.study.session.ports import Confirm, Feel, Move, Playback, Scaled
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study

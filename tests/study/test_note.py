@@ -15,12 +15,13 @@ from feel321.study import lab
 from feel321.study.auditing.study import audit_study
 from feel321.study.checkpoints import take_marks
 from feel321.study.cli import main
-from feel321.study.lab import Visit, run_participant
+from feel321.study.lab import run_participant
 from feel321.study.people import write_roster
 from feel321.study.persons.withdrawal import release_participant, take_note, withdraw_participant
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
+from feel321.study.sessions import read_room
 from feel321.study.status import read_status
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ def run(study: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch) -> R
 
         monkeypatch.setattr(lab, "open_lab", open_presenter)
         now = START + timedelta(hours=hours)
-        return run_participant(study, Visit("p01"), now=lambda: now)
+        return run_participant(read_room(study, now=lambda: now), "p01")
 
     return visit
 

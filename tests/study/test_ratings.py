@@ -11,9 +11,8 @@ import pytest
 from feel321.protocols.tasks import make_task
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.ratings import list_judgements, write_ratings
-from feel321.study.session.codes import list_codes
 from feel321.study.session.journal import START, digest, write_line
-from feel321.study.session.plan import Stale, create_plan, make_plan, read_dossier
+from feel321.study.session.plan import Stale, create_plan, list_codes, make_plan, read_dossier
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:

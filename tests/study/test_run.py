@@ -20,12 +20,13 @@ from feel321.study.actuator.rig import digest, read_rig
 from feel321.study.auditing.study import audit_study, examine
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.lab import Visit, run_participant
+from feel321.study.lab import run_participant
 from feel321.study.people import write_roster
 from feel321.study.screen import window
 from feel321.study.session.events import RigAccepted
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
+from feel321.study.sessions import read_room
 from feel321.study.status import read_status
 from feel321.study.workflow import check_study
 
@@ -64,7 +65,9 @@ def present(scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any
 
 
 def visit(study: StudyFolder, participant: str = "p01", **choices: Any) -> Any:
-    return run_participant(study, Visit(participant, **choices), now=lambda: datetime.now(UTC))
+    simulated = choices.pop("simulated", False)
+    room = replace(read_room(study, now=lambda: datetime.now(UTC)), **choices)
+    return run_participant(room, participant, simulated=simulated)
 
 
 def test_a_session_runs_to_its_end_and_no_window_opens_for_what_is_finished(
@@ -72,7 +75,10 @@ def test_a_session_runs_to_its_end_and_no_window_opens_for_what_is_finished(
 ) -> None:
     presenter = present()
     assert main(["run", str(ready.path), "--participant", "p01"]) == 0
-    assert capsys.readouterr().out == f"p01: 0 of {TOTAL} done so far\np01: all {TOTAL} done\n"
+    assert (
+        capsys.readouterr().out
+        == f"p01: 0 of {TOTAL} answered so far\np01: {TOTAL} of {TOTAL} answered\n"
+    )
     assert (presenter.log[0], presenter.log[-1]) == ("opened", "closed")
     presenter.log.clear()
     assert main(["run", str(ready.path), "--participant", "p01"]) == 0
@@ -232,7 +238,7 @@ def test_who_stops_is_told_how_to_go_on(
 ) -> None:
     present(pages={"rest": [Abort(9.0, "tired")]})
     assert main(["run", str(ready.path), "--participant", "p01", "--windowed"]) == 1
-    line = f"p01: 1 of {TOTAL} done (aborted: tired); resume with: "
+    line = f"p01: 1 of {TOTAL} answered (aborted: tired); resume with: "
     line += f"feel321 run {ready.path} --participant p01 --windowed"
     assert capsys.readouterr().err == f"{line}\n"
 
@@ -254,7 +260,9 @@ def test_the_command_that_goes_on_has_every_option(
     assert main(["run", str(ready.path), *options]) == 130
     told, interrupted = capsys.readouterr().err.splitlines()
     command = f"feel321 run {ready.path} {' '.join(options)}"
-    assert told == f"p01: 1 of {TOTAL} done (aborted: KeyboardInterrupt); resume with: {command}"
+    assert (
+        told == f"p01: 1 of {TOTAL} answered (aborted: KeyboardInterrupt); resume with: {command}"
+    )
     assert interrupted == "feel321: interrupted; what is done is kept, the same command continues"
     assert read_status(ready).participants == ()
     assert read_status(replace(ready, is_rehearsal=True)).participants[0].done == 1
@@ -277,7 +285,8 @@ def test_what_was_mended_is_told(ready: StudyFolder, present: Callable[..., Any]
     ready.journals[0].write_bytes(ready.journals[0].read_bytes() + b"torn")
     told: list[str] = []
     present()
-    run_participant(ready, Visit("p01"), now=lambda: datetime.now(UTC), warn=told.append)
+    room = read_room(ready, now=lambda: datetime.now(UTC))
+    run_participant(room, "p01", warn=told.append)
     assert len(told) == 1
     assert "session-01.jsonl.torn1" in told[0]
 

@@ -101,26 +101,14 @@ def test_what_the_study_lead_should_know_is_counted(
     )
 
 
-@pytest.mark.parametrize(
-    ("numbers", "warning"), [((1,), "1 trial given up"), ((1, 5), "2 trials given up")]
-)
-def test_trials_that_were_given_up_are_counted(
-    present: Present,
-    scripted: type,
-    plan: Plan,
-    tmp_path: Path,
-    numbers: tuple[int, ...],
-    warning: str,
+def test_trials_that_were_given_up_are_counted_apart(
+    present: Present, scripted: type, plan: Plan, tmp_path: Path
 ) -> None:
     attempts = range(1, plan.flow.max_attempts + 1)
-    dry = {
-        (number, attempt): [Playback(1.0, 1.0, underruns=1)]
-        for number in numbers
-        for attempt in attempts
-    }
-    present(scripted(playbacks=dry))
+    hasty = {(n, k): [Confirm(0.0, {"test": 50.0}, 0.1)] for n in (1, 5) for k in attempts}
+    present(scripted(acts=hasty))
     (entry,) = read_status(StudyFolder(tmp_path)).participants
-    assert (entry.state, warning in entry.warnings) == ("finished", True)
+    assert (entry.state, entry.answered, entry.given_up, entry.left) == ("finished", 18, 2, 0)
 
 
 def test_records_of_another_make_are_the_problem_of_their_participant(

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from feel321.protocols.threshold import PROCEDURES, USUAL, estimate_threshold, resume
+from feel321.protocols.threshold import PROCEDURES, USUAL, estimate_threshold
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold, sensation_level_db
 from feel321.study.auditing.study import audit_study
@@ -155,7 +155,7 @@ def test_one_frequency_shifts_the_level_of_every_stimulus_alike(tmp_path: Path) 
 
 def make_estimate(threshold_db: float, **changes: Any) -> Any:
     """An estimate, narrow, of a participant who guessed in half of the catch trials."""
-    plain = estimate_threshold(resume("bayesian", USUAL))
+    plain = estimate_threshold(PROCEDURES["bayesian"](USUAL))
     usual = {
         "threshold_db": threshold_db,
         "threshold_low_db": threshold_db - 3,

@@ -1,14 +1,11 @@
 """Classic tests, for comparison with the literature: two correlations that share a variable, and repeated measures."""
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from feel321.analysis.arrays import (
     FLAT,
     PERFECT,
-    Values,
     check_labels,
     find_p,
     fisher_interval,
@@ -16,46 +13,13 @@ from feel321.analysis.arrays import (
     read_groups,
 )
 from feel321.analysis.table.items import Table, is_tidy, open_tests
-from feel321.records import Result
+from feel321.records import Statistic
 
 FEWEST = 4
 """Cases that Fisher's z and Williams' t need at least: both divide by n - 3."""
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Dependent(Result):
-    """Four comparisons of the correlation of j with k to that of j with h.
-
-    Parameters
-    ----------
-    difference : float
-        r_jk - r_jh.
-    williams_t, williams_df, williams_p : float
-        Williams' t, its n - 3 degrees of freedom, two-sided p.
-    steiger_z, steiger_p : float
-        Steiger's modification of Dunn and Clark's z, with the averaged correlation; two-sided p.
-    meng_z, meng_p : float
-        Meng, Rosenthal and Rubin's z; two-sided p.
-    zou_low, zou_high : float
-        Zou's 95 % interval of the difference.
-    notes : tuple of str
-        Why anything is NaN, one sentence each.
-    """
-
-    difference: float
-    williams_t: float
-    williams_df: int
-    williams_p: float
-    steiger_z: float
-    steiger_p: float
-    meng_z: float
-    meng_p: float
-    zou_low: float
-    zou_high: float
-    notes: tuple[str, ...] = ()
-
-
-def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependent:  # noqa: PLR0917 - the order of cocor
+def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statistic:  # noqa: PLR0917 - the order of cocor
     """Compare two correlations of the same cases that share the variable j.
 
     Parameters
@@ -69,8 +33,9 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependen
 
     Returns
     -------
-    Dependent
-        Williams' t, Steiger's and Meng's z, and Zou's interval.
+    Statistic
+        ``difference`` r_jk - r_jh; ``williams_t williams_df williams_p``, ``steiger_z steiger_p``, ``meng_z meng_p``,
+        two-sided; ``zou_low zou_high``, the 95 % interval of the difference; ``notes``, why anything is NaN.
 
     Notes
     -----
@@ -83,22 +48,16 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependen
                   c = (r12 (1 - 2r̄²) - r̄² (1 - 2r̄² - r12²)/2) / (1 - r̄²)²
         Meng      Z = (z1 - z2) √((n - 3) / (2 (1 - r12) h)),  h = (1 - f q)/(1 - q)
                   q = (r1² + r2²)/2,  f = min(1, (1 - r12)/(2 (1 - q)))
-        Zou       low  = r1 - r2 - √((r1 - l1)² + (u2 - r2)² - 2 c (r1 - l1)(u2 - r2))
-                  high = r1 - r2 + √((u1 - r1)² + (r2 - l2)² - 2 c (u1 - r1)(r2 - l2))
-                  (l, u) Fisher's intervals,
+        Zou       r1 - r2 ∓ √(a² + b² - 2 c a b), a and b the distances to Fisher's limits on that side,
                   c = ((r12 - r1 r2/2)(1 - r1² - r2² - r12²) + r12³) / ((1 - r1²)(1 - r2²))
 
     **Not for conclusions in this field.** Stimuli of one recording are not independent: with equal true
-    correlations these tests find a difference in 19 to 36 % of studies. Use `compare_metrics`. A perfect
-    correlation has no Fisher's z, and only Williams' t is given then.
+    correlations these tests find a difference in 19 to 36 % of studies. Use `compare_metrics`.
 
     References
     ----------
-    Williams (1959), J. R. Stat. Soc. B 21, 396-399, doi 10.1111/j.2517-6161.1959.tb00346.x.
-    Steiger (1980), Psychological Bulletin 87, 245-251, doi 10.1037/0033-2909.87.2.245.
-    Meng, Rosenthal & Rubin (1992), Psychological Bulletin 111, 172-175, doi 10.1037/0033-2909.111.1.172.
-    Zou (2007), Psychological Methods 12, 399-413, doi 10.1037/1082-989X.12.4.399.
-    Diedenhofen & Musch (2015), PLoS ONE 10, e0121945, doi 10.1371/journal.pone.0121945.
+    Williams (1959), doi 10.1111/j.2517-6161.1959.tb00346.x; Steiger (1980), doi 10.1037/0033-2909.87.2.245; Meng,
+    Rosenthal & Rubin (1992), doi 10.1037/0033-2909.111.1.172; Zou (2007), doi 10.1037/1082-989X.12.4.399.
 
     Examples
     --------
@@ -116,100 +75,57 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Dependen
     r1, r2, r12 = float(r_jk), float(r_jh), float(r_kh)
     # Of the three variables' correlation matrix; negative where no three variables correlate so.
     determinant = 1 - r1**2 - r2**2 - r12**2 + 2 * r1 * r2 * r12
-    _check_triple((r1, r2, r12), n, determinant)
+    for name, value in (("r_jk", r1), ("r_jh", r2), ("r_kh", r12)):
+        if not abs(value) <= 1:
+            raise ValueError(f"{name} must be -1 to 1, got {value}")
+    if not n >= FEWEST or n != np.floor(n) or np.isinf(n):
+        raise ValueError(f"n must be a whole number of cases, {FEWEST} or more, got {n}")
+    if r12 >= PERFECT or determinant < PERFECT - 1:
+        raise ValueError(
+            f"r_kh must be below 1 and possible with r_jk {r1} and r_jh {r2}, got {r12}: no three variables correlate "
+            "like that; take all three from the same cases"
+        )
     n, mean, nan = int(n), (r1 + r2) / 2, float("nan")
     spread = 2 * (n - 1) / (n - 3) * max(determinant, 0.0) + mean**2 * (1 - r12) ** 3
     williams, notes = nan, list[str]()
     if spread > 1 - PERFECT:
         williams = float((r1 - r2) * np.sqrt((n - 1) * (1 + r12) / spread))
+    else:
+        notes.append("Williams' t is not defined: the three variables determine each other.")
     steiger = meng = low = high = nan
     if max(abs(r1), abs(r2)) < PERFECT:
-        steiger, meng = _compare_z(r1, r2, r12, n)
-        low, high = _find_zou(r1, r2, r12, n)
+        steiger, meng, low, high = _compare_z(r1, r2, r12, n)
     else:
         notes.append("A perfect correlation has no Fisher's z: no Steiger, Meng or Zou.")
-    if np.isnan(williams):
-        notes.append("Williams' t is not defined: the three variables determine each other.")
-    return Dependent(
-        r1 - r2, williams, n - 3, float(2 * t.sf(abs(williams), n - 3)), steiger, find_p(steiger), meng, find_p(meng),
-        low, high, tuple(notes),
+    return Statistic(
+        "Dependent", difference=r1 - r2, williams_t=williams, williams_df=n - 3,
+        williams_p=float(2 * t.sf(abs(williams), n - 3)), steiger_z=steiger, steiger_p=find_p(steiger),
+        meng_z=meng, meng_p=find_p(meng), zou_low=low, zou_high=high, notes=tuple(notes),
     )  # fmt: skip
 
 
-def _check_triple(given: tuple[float, float, float], n: float, determinant: float) -> None:
-    for name, value in zip(("r_jk", "r_jh", "r_kh"), given, strict=True):
-        if not abs(value) <= 1:
-            raise ValueError(f"{name} must be -1 to 1, got {value}")
-    first, second, between = given
-    if not n >= FEWEST or n != np.floor(n) or np.isinf(n):
-        raise ValueError(f"n must be a whole number of cases, {FEWEST} or more, got {n}")
-    if between >= PERFECT:
-        raise ValueError(
-            f"r_kh must be below 1, got {between}: the two variables compared are one; leave one out"
-        )
-    if determinant < PERFECT - 1:
-        raise ValueError(
-            f"r_kh must be possible with r_jk {first} and r_jh {second}, got {between}: no three "
-            f"variables correlate like that (determinant {determinant:.3g}); take all three from the same cases"
-        )
-
-
-def _compare_z(r1: float, r2: float, r12: float, n: int) -> tuple[float, float]:  # noqa: PLR0917 - as in the formulas
-    """Compute Steiger's and Meng's z."""
+def _compare_z(r1: float, r2: float, r12: float, n: int) -> tuple[float, float, float, float]:  # noqa: PLR0917 - as in the formulas
+    """Compute Steiger's and Meng's z, and the ends of Zou's interval."""
     apart, square = float(np.arctanh(r1) - np.arctanh(r2)), ((r1 + r2) / 2) ** 2
     covariance = r12 * (1 - 2 * square) - square * (1 - 2 * square - r12**2) / 2
     steiger = apart * float(np.sqrt((n - 3) / (2 - 2 * covariance / (1 - square) ** 2)))
     q = (r1**2 + r2**2) / 2
     f = min(1.0, (1 - r12) / (2 * (1 - q)))
     h = (1 - f * q) / (1 - q)
-    return steiger, apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
-
-
-def _find_zou(r1: float, r2: float, r12: float, n: int) -> tuple[float, float]:  # noqa: PLR0917 - as in the formulas
-    """Compute the ends of Zou's interval."""
+    meng = apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
     (low1, high1), (low2, high2) = (fisher_interval(r, n - 3) for r in (r1, r2))
     c = ((r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3) / ((1 - r1**2) * (1 - r2**2))
-
-    def reach(first: float, second: float) -> float:
-        # max: rounding may push a vanishing sum of squares below 0
-        return float(np.sqrt(max(0.0, first**2 + second**2 - 2 * c * first * second)))
-
-    return r1 - r2 - reach(r1 - low1, high2 - r2), r1 - r2 + reach(high1 - r1, r2 - low2)
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class RepeatedMeasures(Result):
-    """A repeated-measures correlation.
-
-    Parameters
-    ----------
-    r : float
-        The correlation; NaN where x or y does not vary within any participant.
-    df : int
-        n - participants - 1, for n rows.
-    p : float
-        Two-sided.
-    low, high : float
-        95 % interval; NaN where r is perfect, or df is below 2.
-    n, n_participants : int
-        Rows and participants.
-    notes : tuple of str
-        Why anything is NaN, one sentence each.
-    """
-
-    r: float
-    df: int
-    p: float
-    low: float
-    high: float
-    n: int
-    n_participants: int
-    notes: tuple[str, ...] = ()
+    # max: rounding may push a vanishing sum of squares below 0
+    down, up = (
+        float(np.sqrt(max(0.0, one**2 + other**2 - 2 * c * one * other)))
+        for one, other in ((r1 - low1, high2 - r2), (high1 - r1, r2 - low2))
+    )
+    return steiger, meng, r1 - r2 - down, r1 - r2 + up
 
 
 def repeated_measures_correlation(
     x: Table | ArrayLike, y: str | ArrayLike, participant: ArrayLike | None = None
-) -> RepeatedMeasures:
+) -> Statistic:
     """Correlate x and y within participants.
 
     Parameters
@@ -219,13 +135,13 @@ def repeated_measures_correlation(
     y : str or array_like, shape (n,)
         The metric that ratings are correlated with; or the other variable.
     participant : array_like, shape (n,), optional
-        Who each row belongs to, unless x holds ratings. A participant with a single row does not vary, and leaves r
-        as it is.
+        Who each row belongs to, unless x holds ratings.
 
     Returns
     -------
-    RepeatedMeasures
-        The correlation with its test and interval.
+    Statistic
+        ``r``, NaN where x or y does not vary within any participant; ``df p``, two-sided; ``low high``, the 95 %
+        interval; ``n n_participants notes``.
 
     Notes
     -----
@@ -240,8 +156,7 @@ def repeated_measures_correlation(
 
     References
     ----------
-    Bland & Altman (1995), BMJ 310, 446, doi 10.1136/bmj.310.6977.446.
-    Bakdash & Marusich (2017), Frontiers in Psychology 8, 456, doi 10.3389/fpsyg.2017.00456.
+    Bland & Altman (1995), doi 10.1136/bmj.310.6977.446; Bakdash & Marusich (2017), doi 10.3389/fpsyg.2017.00456.
 
     Examples
     --------
@@ -258,31 +173,6 @@ def repeated_measures_correlation(
     if is_tidy(x) and isinstance(y, str):
         rows, _ = open_tests(x, (y,))
         x, y, participant = rows[y].to_numpy(), rows["rating"].to_numpy(), rows["participant"]
-    first, second, number = _read_rows(x, y, participant)
-    n, n_participants = len(first), int(number.max()) + 1
-    df = n - n_participants - 1
-    if df < 1:
-        raise ValueError(
-            f"participant must have at least participants + 2 rows, got {n} rows of {n_participants} participants"
-        )
-    one, other = (_remove_means(values, number) for values in (first, second))
-    if flat := [name for name, values in (("x", one), ("y", other)) if not values.any()]:
-        nan, note = float("nan"), f"No correlation: {flat[0]} does not vary within any participant."
-        return RepeatedMeasures(nan, df, nan, nan, nan, n, n_participants, (note,))
-    r = float(np.clip(one @ other / np.sqrt((one @ one) * (other @ other)), -1, 1))
-    low, high = fisher_interval(r, df - 1)
-    p = 0.0 if abs(r) >= PERFECT else float(2 * t.sf(abs(r) * np.sqrt(df / (1 - r**2)), df))
-    missing = (
-        "No interval: the correlation is perfect, or fewer than 2 degrees of freedom are left."
-    )
-    return RepeatedMeasures(
-        r, df, p, low, high, n, n_participants, (missing,) if np.isnan(low) else ()
-    )
-
-
-def _read_rows(
-    x: object, y: object, participant: object
-) -> tuple[Values, Values, NDArray[np.intp]]:
     check_labels(x, y, what="y")
     first, second = (read_array(one, what=name, axes=("n",)) for one, name in ((x, "x"), (y, "y")))
     names = np.asarray(participant).ravel()
@@ -290,14 +180,27 @@ def _read_rows(
         raise ValueError(
             f"x, y and participant must have one length, got {len(first)}, {len(second)} and {names.size}"
         )
-    number, distinct = read_groups(names, n=len(names), what="row", of="participant")
-    if not distinct:
-        raise ValueError("x must have at least participants + 2 rows, got none")
-    return first, second, number
-
-
-def _remove_means(values: Values, number: NDArray[np.intp]) -> Values:
-    """Remove participants' means; all 0 where what is left is rounding only."""
-    rest = values - (np.bincount(number, values) / np.bincount(number))[number]
-    flat = (rest**2).sum() <= FLAT * (values**2).sum()
-    return np.zeros_like(rest) if flat else rest
+    number, people = read_groups(names, n=len(names), what="row", of="participant")
+    df = len(first) - len(people) - 1
+    if df < 1:
+        raise ValueError(
+            f"participant must have at least participants + 2 rows, got {len(first)} rows of {len(people)} participants"
+        )
+    rest, notes, r = [], list[str](), float("nan")
+    for name, values in (("x", first), ("y", second)):
+        rest.append(values - (np.bincount(number, values) / np.bincount(number))[number])
+        if (rest[-1] ** 2).sum() <= FLAT * (values**2).sum():
+            notes.append(f"No correlation: {name} does not vary within any participant.")
+    one, other = rest
+    if not notes:
+        r = float(np.clip(one @ other / np.sqrt((one @ one) * (other @ other)), -1, 1))
+    low, high = fisher_interval(r, df - 1)
+    if np.isnan(low) and not notes:
+        notes = [
+            "No interval: the correlation is perfect, or fewer than 2 degrees of freedom are left."
+        ]
+    p = 0.0 if abs(r) >= PERFECT else float(2 * t.sf(abs(r) * np.sqrt(df / (1 - r**2)), df))
+    return Statistic(
+        "RepeatedMeasures", r=r, df=df, p=p, low=low, high=high, n=len(first), n_participants=len(people),
+        notes=tuple(notes[:1]),
+    )  # fmt: skip

@@ -8,7 +8,7 @@ both drawn anew; the narrower one is reported beside it, by name, for comparison
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -28,7 +28,7 @@ from feel321.analysis.table.items import (
 )
 from feel321.analysis.table.schema import PAIR
 from feel321.doors import as_rng, check_name
-from feel321.records import Result
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -36,102 +36,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.types import MetricInfo, Rng
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Association(Result):
-    """Correlation of a metric with mean ratings over stimuli.
-
-    Parameters
-    ----------
-    value : float
-        Correlation of the stimuli's mean ratings with the metric; NaN where it is not defined.
-    low, high : float
-        95 % two-way bootstrap interval, over participants and recordings: the one to conclude from. NaN where
-        more than a tenth of the draws are undefined.
-    n_items : int
-        Number of stimuli.
-    ceiling : float
-        Noise ceiling, sqrt(ICC(C,k)): what a perfect metric would reach with ratings as noisy as these; for the
-        within methods, that of differences within recordings. NaN where fewer than half of the stimuli were rated
-        by everyone.
-    disattenuated : float
-        value / ceiling; may exceed 1 by chance. NaN for ranks, whose ceiling this is not, and where the
-        ceiling rests on fewer stimuli than the value.
-    draws : int
-        Two-way draws in which the correlation was defined.
-    participants_low, participants_high : float
-        95 % bootstrap interval over participants only: it treats these stimuli as the only ones.
-    n_participants, n_recordings, n_sources, n_missing : int
-        Size of the data; sources are what is independent among recordings, as many as these unless several come from
-        one; participant x stimulus cells without a rating.
-    metric, method : str
-        What was correlated, and how.
-    notes : tuple of str
-        Why anything is NaN or reduced, one sentence each.
-    """
-
-    value: float
-    low: float
-    high: float
-    n_items: int
-    ceiling: float
-    disattenuated: float
-    draws: int
-    participants_low: float
-    participants_high: float
-    n_participants: int
-    n_recordings: int
-    n_sources: int
-    n_missing: int
-    metric: str
-    method: str
-    notes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Difference(Result):
-    """Difference between the correlations of two metrics with mean ratings.
-
-    Parameters
-    ----------
-    value : float
-        Correlation with the first metric minus correlation with the second.
-    low, high : float
-        95 % two-way bootstrap interval of the difference of Fisher's z, expressed as a difference of
-        correlations about the same mean z; covers 0 exactly if that does.
-    z_value, z_low, z_high : float
-        The same as a difference of Fisher's z.
-    first_value, second_value : float
-        The two correlations.
-    n_items, n_participants, n_recordings, n_sources, n_missing : int
-        Size of the data, as of `Association`.
-    draws : int
-        Two-way draws in which the difference was defined.
-    first, second, method : str
-        What was compared, and how.
-    notes : tuple of str
-        Why anything is NaN or reduced, one sentence each.
-    """
-
-    value: float
-    low: float
-    high: float
-    z_value: float
-    z_low: float
-    z_high: float
-    first_value: float
-    second_value: float
-    n_items: int
-    n_participants: int
-    n_recordings: int
-    n_sources: int
-    n_missing: int
-    draws: int
-    first: str
-    second: str
-    method: str
-    notes: tuple[str, ...] = ()
 
 
 def correlate(  # noqa: PLR0913 - which rows, and how
@@ -143,7 +47,7 @@ def correlate(  # noqa: PLR0913 - which rows, and how
     method: str = "pearson",
     draws: int = 2000,
     rng: Rng = 0,
-) -> Association:
+) -> Statistic:
     """Correlate mean ratings with a metric over test stimuli.
 
     Parameters
@@ -165,37 +69,33 @@ def correlate(  # noqa: PLR0913 - which rows, and how
 
     Returns
     -------
-    Association
-        The correlation, its intervals, and its ceiling.
+    Statistic
+        ``value``; ``low high``, the 95 % two-way interval, the one to conclude from; ``n_items``; ``ceiling``,
+        sqrt(ICC(C,k)), which a perfect metric would reach with ratings as noisy as these (within recordings for the
+        within methods), and ``disattenuated``, value / ceiling, NaN for ranks; ``draws`` that were defined;
+        ``participants_low participants_high``, which takes these stimuli for the only ones; ``n_participants
+        n_recordings n_sources n_missing metric method``; ``notes``, why anything is NaN.
 
     Notes
     -----
     A stimulus's rating is the mean over participants of each participant's mean over repeats. With R
-    recordings, T the correlation and T* its bootstrap draws, the interval is tanh(atanh T ± t(.975, R - 1)
-    sqrt(R / (R - 1)) SD(atanh T*)). Averaging the stimuli first keeps the many rows of one stimulus from
-    posing as independent evidence. Missing cells are allowed; a stimulus then rests on the participants who
-    rated it.
+    recordings (sources, where several come from one), T the correlation and T* its bootstrap draws, the interval is
+    tanh(atanh T ± t(.975, R - 1) sqrt(R / (R - 1)) SD(atanh T*)). With P participants, fewer than R, P takes the place
+    of R: with R in both places it covered the truth in 67 % (P = 2) and 76 % (P = 3) of simulated studies. A draw is
+    undefined, and left out, if it has fewer than three different stimuli, a constant, or all points on one line.
 
-    With P participants, fewer than R, P takes the place of R. The formula with R was made for studies with
-    more people than recordings; two or three people know their spread on P - 1 degrees of freedom only, and
-    with R in both places the interval covered the truth in 67 % (P = 2) and 76 % (P = 3) of simulated studies.
-
-    A draw is undefined, and left out, if it has fewer than three different stimuli, a constant, or all points
-    on one line.
-
-    Which method: ``pearson`` asks how straight the relation is, ``spearman`` and ``kendall`` how monotone. All three
-    also count that a recording with a higher metric is rated higher, whatever the reason. The within methods compare
-    stimuli of the same recording only: with z_r = atanh of the correlation in recording r, tanh(Σ z_r / R), over the
-    recordings in which it is defined (three stimuli, neither constant); that is the claim about a metric of reducers.
-    With few stimuli per recording single z_r are noisy, and by ranks perfect ones are common: a perfect one of n items
-    counts as 1 - 6 / (n (n² - 1)). The mean z leans to the far side by about r / (2 (n_r - 1)); the intervals of
-    ``within`` are drawn about the mean z less that, or they would cover 91 % at six stimuli a recording (sim).
+    ``pearson`` asks how straight the relation is, ``spearman`` and ``kendall`` how monotone. All three also count that
+    a recording with a higher metric is rated higher, whatever the reason. The within methods compare stimuli of the
+    same recording only: with z_r = atanh of the correlation in recording r, tanh(Σ z_r / R), over the recordings in
+    which it is defined (three stimuli, neither constant); that is the claim about a metric of reducers. By ranks a
+    perfect z_r of n items counts as 1 - 6 / (n (n² - 1)). The mean z leans to the far side by about
+    r / (2 (n_r - 1)); the intervals of ``within`` are drawn about the mean z less that, or they would cover 91 % at six
+    stimuli a recording (sim).
 
     References
     ----------
-    Silver & Dunlap (1987), Averaging correlation coefficients, Journal of Applied Psychology 72, 146-148, doi
-    10.1037/0021-9010.72.1.146.
-    Owen (2007), The pigeonhole bootstrap, Annals of Applied Statistics 1, 386-411, doi 10.1214/07-AOAS122.
+    Silver & Dunlap (1987), doi 10.1037/0021-9010.72.1.146; Owen (2007), The pigeonhole bootstrap, doi
+    10.1214/07-AOAS122.
 
     Examples
     --------
@@ -208,10 +108,8 @@ def correlate(  # noqa: PLR0913 - which rows, and how
     >>> round(result.value, 2), result.n_items
     (0.99, 4)
     """
-    return correlate_items(
-        make_items(choose_arms(ratings, scale, level), (metric,)),
-        (metric,), method, draws=draws, rng=rng,
-    ).associate(metric)  # fmt: skip
+    items = make_items(choose_arms(ratings, scale, level), (metric,))
+    return correlate_items(items, (metric,), method, draws=draws, rng=rng).associate(metric)
 
 
 def compare_metrics(  # noqa: PLR0913 - as `correlate`
@@ -224,7 +122,7 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
     method: str = "pearson",
     draws: int = 2000,
     rng: Rng = 0,
-) -> Difference:
+) -> Statistic:
     """Compare two metrics by how strongly mean ratings correlate with each.
 
     Parameters
@@ -242,15 +140,17 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
 
     Returns
     -------
-    Difference
-        The first correlation minus the second, with the two-way interval.
+    Statistic
+        ``value``, the first correlation minus the second; ``low high``, its 95 % two-way interval; the same as a
+        difference of Fisher's z: ``z_value z_low z_high``; ``first_value second_value``, sizes and ``notes`` as of
+        `correlate`.
 
     Notes
     -----
     Both correlations are recomputed in every draw, so their dependence is accounted for. With d = atanh r1 -
     atanh r2, the interval is d ± t(.975, R - 1) sqrt(R / (R - 1)) SD(d*), P in the place of R as for
-    `correlate`. It is expressed as a difference of
-    correlations by d -> tanh(m + d / 2) - tanh(m - d / 2), m the mean of the two z.
+    `correlate`. It is expressed as a difference of correlations by d -> tanh(m + d / 2) - tanh(m - d / 2), m the mean
+    of the two z.
 
     Examples
     --------
@@ -264,10 +164,9 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
     """
     if first == second:
         raise ValueError(f"second must be another metric than the first, got {second!r} twice")
-    return correlate_items(
-        make_items(choose_arms(ratings, scale, level), (first, second)),
-        (first, second), method, draws=draws, rng=rng,
-    ).compare(first, second)  # fmt: skip
+    names = (first, second)
+    items = make_items(choose_arms(ratings, scale, level), names)
+    return correlate_items(items, names, method, draws=draws, rng=rng).compare(*names)
 
 
 def tabulate_correlations(
@@ -296,7 +195,7 @@ def tabulate_correlations(
     Returns
     -------
     DataFrame
-        A row per scale, level, metric and method, with the fields of `Association`.
+        A row per scale, level, metric and method, with the values of `correlate`.
 
     Examples
     --------
@@ -320,7 +219,7 @@ def tabulate_correlations(
         items = make_items(part.rows, names)
         of = correlate_methods(items, names, methods, draws=draws, rng=int(seed))
         found = (one.associate(name) for name in names for one in of)
-        rows += [{"scale": part.scale, "level": part.level, **asdict(one)} for one in found]
+        rows += [{"scale": part.scale, "level": part.level, **one} for one in found]
     return pd.DataFrame(rows).assign(notes=lambda found: found["notes"].map(" ".join))
 
 
@@ -349,18 +248,13 @@ class Correlated(NamedTuple):
     method: str
     drawn: resampling.Draws
 
-    def associate(self, metric: str) -> Association:
+    def associate(self, metric: str) -> Statistic:
         """Correlate with one metric."""
-        items, drawn, how, notes = (
-            *self._pick(metric),
-            resampling.METHODS[self.method],
-            self._explain(metric),
-        )
+        items, drawn = self._pick(metric)
+        how, notes = resampling.METHODS[self.method], list(_explain(items, drawn, [metric]))
         value = float(drawn.point[0])
-        middle = float(
-            resampling.fisher_z(drawn.point)[0]
-            - resampling.measure_lean(items, self.method, drawn)[0]
-        )
+        lean = resampling.measure_lean(items, self.method, drawn)[0]
+        middle = float(resampling.fisher_z(drawn.point)[0] - lean)
         units = resampling.count_scarcest(items, drawn), items.n_participants
         (low, high), (narrow_low, narrow_high) = (
             np.tanh(middle + resampling.bootstrap_margin(part[0], n) * np.array([-1, 1])).tolist()
@@ -371,36 +265,33 @@ class Correlated(NamedTuple):
             notes += _explain_undrawn(drawn.two_way[0], "two-way")
             notes += _explain_undrawn(drawn.participants[0], "participants-only")
         divisible = not how.ranked and not items.n_missing
-        return Association(
-            value=value, low=low, high=high, ceiling=ceiling,
+        return Statistic(
+            "Association", value=value, low=low, high=high, n_items=items.n_items, ceiling=ceiling,
             disattenuated=value / ceiling if divisible else float("nan"),
             draws=int(np.isfinite(drawn.two_way[0]).sum()),
-            participants_low=narrow_low, participants_high=narrow_high,
-            metric=metric, method=self.method, notes=(*notes, *more_notes), **_count(items),
+            participants_low=narrow_low, participants_high=narrow_high, **_count(items),
+            metric=metric, method=self.method, notes=(*notes, *more_notes),
         )  # fmt: skip
 
-    def compare(self, first: str, second: str) -> Difference:
+    def compare(self, first: str, second: str) -> Statistic:
         """Compare the correlations with two metrics."""
         items, drawn = self._pick(first, second)
-        notes = self._explain(first, second)
+        notes = list(_explain(items, drawn, [first, second]))
         z_first, z_second = resampling.fisher_z(drawn.point)
         differences = np.subtract(*drawn.two_way)
         if np.isfinite(drawn.point).all():
             notes += _explain_undrawn(differences, "two-way")
-        z, margin = (
-            z_first - z_second,
-            resampling.bootstrap_margin(differences, resampling.count_scarcest(items, drawn)),
-        )
+        margin = resampling.bootstrap_margin(differences, resampling.count_scarcest(items, drawn))
         lean = np.subtract(*resampling.measure_lean(items, self.method, drawn))
-        z_range = z - lean + np.array([-margin, margin])
+        z_range = z_first - z_second - lean + np.array([-margin, margin])
         middle = (z_first + z_second) / 2
         low, high = np.tanh(middle + z_range / 2) - np.tanh(middle - z_range / 2)
-        return Difference(
-            value=float(drawn.point[0] - drawn.point[1]), low=float(low), high=float(high),
-            z_value=float(z), z_low=float(z_range[0]), z_high=float(z_range[1]),
-            first_value=float(drawn.point[0]), second_value=float(drawn.point[1]),
-            draws=int(np.isfinite(differences).sum()), first=first, second=second,
-            method=self.method, notes=tuple(notes), **_count(items),
+        return Statistic(
+            "Difference", value=float(drawn.point[0] - drawn.point[1]), low=float(low), high=float(high),
+            z_value=float(z_first - z_second), z_low=float(z_range[0]), z_high=float(z_range[1]),
+            first_value=float(drawn.point[0]), second_value=float(drawn.point[1]), n_items=items.n_items,
+            **_count(items), draws=int(np.isfinite(differences).sum()), first=first, second=second,
+            method=self.method, notes=tuple(notes),
         )  # fmt: skip
 
     def _pick(self, *metrics: str) -> tuple[Items, resampling.Draws]:
@@ -408,18 +299,14 @@ class Correlated(NamedTuple):
         items = replace(self.items, metrics=self.items.metrics[places])
         return items, resampling.Draws(*(part[places] for part in self.drawn))
 
-    def _explain(self, *metrics: str) -> list[str]:
-        items, drawn = self._pick(*metrics)
-        return [*_explain_size(items), *_explain_value(items, drawn, metrics)]
-
 
 def _count(items: Items) -> dict[str, int]:
-    names = ("n_items", "n_participants", "n_recordings", "n_sources", "n_missing")
+    names = ("n_participants", "n_recordings", "n_sources", "n_missing")
     return {name: getattr(items, name) for name in names}
 
 
-def _explain_size(items: Items) -> Iterator[str]:
-    """Say what was left out, what cells are missing, and which interval one of a kind does not allow."""
+def _explain(items: Items, drawn: resampling.Draws, metrics: Sequence[str]) -> Iterator[str]:
+    """Say what was left out, which interval the size does not allow, and what of the values."""
     yield from items.notes
     if items.n_missing:
         yield f"{items.n_missing} of {items.ratings.size} participant x stimulus cells hold no rating."
@@ -431,17 +318,21 @@ def _explain_size(items: Items) -> Iterator[str]:
         yield "All recordings come from one source: no two-way interval, the spread between sources is unknown."
     elif items.n_sources < items.n_recordings:
         yield f"Two-way intervals draw the {items.n_sources} sources of the {items.n_recordings} recordings."
+    yield from _explain_values(items, drawn, metrics)
 
 
-def _explain_value(
-    items: Items, drawn: resampling.Draws, metrics: tuple[str, ...]
-) -> Iterator[str]:
+def _explain_values(items: Items, drawn: resampling.Draws, metrics: Sequence[str]) -> Iterator[str]:
     """Say why a correlation is not defined, or what it rests on."""
     for row, metric in enumerate(metrics):
         if drawn.of_recordings.size:
             yield from _explain_recordings(drawn.of_recordings[row], metric)
         elif np.isnan(drawn.point[row]):
-            yield _explain_undefined(items, metric, row=row)
+            why = "the mean rating is the same for every stimulus"
+            if items.n_items < resampling.FEWEST_ITEMS:
+                why = f"it needs {resampling.FEWEST_ITEMS} test stimuli, got {items.n_items}"
+            elif np.ptp(items.metrics[row]) == 0:
+                why = f"'{metric}' is the same for every stimulus"
+            yield f"No correlation: {why}."
         if abs(drawn.point[row]) >= PERFECT:
             yield f"No interval: the correlation with '{metric}' is perfect, and Fisher's z of that infinite."
 
@@ -462,28 +353,14 @@ def _explain_recordings(correlations: Values, metric: str) -> Iterator[str]:
         yield f"In {perfect} of {n} recordings the correlation with '{metric}' is perfect: Fisher's z is held."
 
 
-def _explain_undefined(items: Items, metric: str, *, row: int) -> str:
-    if items.n_items < resampling.FEWEST_ITEMS:
-        return (
-            f"No correlation: it needs {resampling.FEWEST_ITEMS} test stimuli, got {items.n_items}."
-        )
-    if np.ptp(items.metrics[row]) == 0:
-        return f"No correlation: '{metric}' is the same for every stimulus."
-    return "No correlation: the mean rating is the same for every stimulus."
-
-
 def _explain_undrawn(drawn: Values, kind: str) -> Iterator[str]:
     """Say how many draws gave no result, or that all gave the same."""
     undefined = int(np.isnan(drawn).sum())
     if undefined:
-        end = (
-            ": too many for an interval"
-            if undefined > resampling.MOST_UNDEFINED * drawn.size
-            else ""
-        )
+        many = undefined > resampling.MOST_UNDEFINED * drawn.size
         yield (
             f"{undefined} of {drawn.size} {kind} draws gave no correlation (fewer than three stimuli, a constant, or "
-            f"all points on a line) and are left out{end}."
+            f"all points on a line) and are left out{': too many for an interval' if many else ''}."
         )
     elif np.ptp(drawn) <= resampling.STILL:
         yield f"All {drawn.size} {kind} draws gave the same: no interval without spread."
@@ -495,8 +372,8 @@ class Panel:
 
     scale: str
     level: str
-    associations: tuple[Association, ...]
-    differences: tuple[Difference, ...]
+    associations: tuple[Statistic, ...]
+    differences: tuple[Statistic, ...]
     stimuli: DataFrame
 
 

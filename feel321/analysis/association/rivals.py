@@ -7,7 +7,7 @@ hold together, and what is said to be best, or better than level alone, is said 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,7 +19,7 @@ from feel321.analysis.association.correlate import find_sign
 from feel321.analysis.resampling import BLOCK, bootstrap_margin, draw_counts, weighted_ranks
 from feel321.analysis.table.items import Items, Table, choose_info, choose_metrics, make_items
 from feel321.doors import as_rng, check_name
-from feel321.records import Result
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -34,7 +34,7 @@ LEVEL = 0.05
 BASELINES = ("level_difference", "level_as_played")
 """Metrics that know of nothing but the strength of a stimulus, the first that there is."""
 
-FEWEST_PEOPLE, FEWEST_RECORDINGS = 3, 4
+FEWEST_PEOPLE, FEWEST_RECORDINGS, FEWEST_METRICS, FEWEST_DRAWN = 3, 4, 2, 2
 """Below, the spread between people or recordings is all but unknown, and nothing is left to fit to."""
 
 SIMULATED = 10_000
@@ -43,78 +43,10 @@ SIMULATED = 10_000
 FEWEST_REDUCERS = 5
 """Below, what holds for other reducers cannot be told."""
 
-FEWEST_METRICS, FEWEST_DRAWN = 2, 2
 STILL = 1e-9
 """Standard errors below this are those of two metrics that say the same."""
 
 METHODS = ("pearson", "spearman")
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Ranking(Result):
-    """Metrics ranked by how well they predict differences between stimuli of the same recording.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Indexed by metric, the best first: value low high, the out-of-fold correlation with its simultaneous 95 %
-        interval, and p, adjusted for all metrics; share, value / ceiling; over_baseline over_low over_high,
-        what it has over the baseline, likewise simultaneous, and over_p; may_be_best, whether it belongs to the 95 %
-        confidence set of the best metric; chosen, the share of folds in which the other recordings would choose it;
-        fitted, the correlation within recordings of all stimuli, where the slope may have any sign.
-    best : str
-        The metric with the highest value.
-    alone : bool
-        Whether the confidence set of the best metric holds only that one.
-    baseline : str
-        The metric that the others are compared with; empty where there is none.
-    better : tuple of str
-        Metrics that predict better than the baseline, the best first.
-    honest_value, honest_low, honest_high : float
-        Out-of-fold correlation of whichever metric the other recordings would choose, with its 95 % bootstrap interval:
-        what picking the best is worth.
-    ceiling : float
-        Noise ceiling of differences within recordings.
-    n_participants, n_recordings, n_sources, n_reducers, n_items, draws : int
-        Size of the data, and bootstrap draws; 0 reducers where no reducer made stimuli of several recordings.
-    method : str
-        "pearson", or "spearman" for metrics ranked within recordings.
-    notes : tuple of str
-        What was left out, and why; one sentence each.
-    """
-
-    table: DataFrame
-    best: str
-    alone: bool
-    baseline: str
-    better: tuple[str, ...]
-    honest_value: float
-    honest_low: float
-    honest_high: float
-    ceiling: float
-    n_participants: int
-    n_recordings: int
-    n_sources: int
-    n_reducers: int
-    n_items: int
-    draws: int
-    method: str
-    notes: tuple[str, ...] = ()
-
-    @property
-    def candidates(self) -> tuple[str, ...]:
-        """Metrics of the confidence set of the best, the highest value first."""
-        return tuple(map(str, self.table.index[self.table["may_be_best"]]))
-
-    def to_frame(self) -> DataFrame:
-        """Return the metrics.
-
-        Returns
-        -------
-        DataFrame
-            A row per metric: metric, and the columns of `table`.
-        """
-        return self.table.reset_index()
 
 
 class _Scores(NamedTuple):
@@ -138,7 +70,7 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     draws: int = 2000,
     rng: Rng = 0,
     info: Mapping[str, MetricInfo] | None = None,
-) -> Ranking:
+) -> Statistic:
     """Rank metrics by how well they predict ratings, corrected for how many were tried.
 
     Parameters
@@ -161,8 +93,14 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
 
     Returns
     -------
-    Ranking
-        The metrics, which of them may be the best, and which predict better than the baseline.
+    Statistic
+        ``table``, indexed by metric, the best first: value low high, the out-of-fold correlation with its simultaneous
+        95 % interval, and p, adjusted for all metrics; share, value / ceiling; over_baseline over_low over_high
+        over_p; may_be_best, whether it belongs to the 95 % confidence set of the best metric; chosen, the share of
+        folds in which the other recordings would choose it; fitted, the correlation within recordings of all stimuli,
+        where the slope may have any sign. ``best alone candidates``: that set; ``baseline``, and which metrics are
+        ``better``; ``honest_value honest_low honest_high``: what picking the best is worth; ``ceiling``, sizes, and
+        ``notes``.
 
     Raises
     ------
@@ -174,36 +112,27 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     **Out of fold.** With x and y a metric and the mean ratings, less their means in recording r, and b the slope
     of y on x by least squares in all recordings but r (and those of its source), the prediction of r is b x. A metric
     may only predict in the direction that it declares: otherwise b is 0 there. The value is
-    Σ_r Σ b x y / sqrt(Σ_r Σ (b x)² Σ_r Σ y²), the correlation of predicted with rated differences; 0 for a metric that
-    predicts nothing anywhere. With ``honest_value`` each recording is predicted by the metric that
-    correlates best over the others.
+    Σ_r Σ b x y / sqrt(Σ_r Σ (b x)² Σ_r Σ y²), the correlation of predicted with rated differences. With
+    ``honest_value`` each recording is predicted by the metric that correlates best over the others.
 
-    **Intervals** hold for other participants, other recordings (sources) and other reducers. The variance of Fisher's z
-    of the values is that of clustering by all three factors, V_P + V_R + V_M - V_PR - V_PM - V_RM + V_PRM, from the
+    **Intervals** hold for other participants, recordings (sources) and reducers. The variance of Fisher's z of the
+    values is that of clustering by all three factors, V_P + V_R + V_M - V_PR - V_PM - V_RM + V_PRM, from the
     influence of each rating, each part times G / (G - 1) for G groups, and never less than that of one factor.
-    Metrics resemble each other, so instead of Holm's bound the correction is the single-step maximum of t statistics:
-    quantiles of the largest absolute t under a multivariate t with U - 1 degrees of freedom, U the smallest of the
-    three numbers, and the correlations that the variance has. It holds for all metrics together, and is narrower than
-    Bonferroni's or Holm's where metrics agree. Three families, each at 5 %: every value against 0; every metric
-    against the baseline;
-    and, for the confidence set of the best metric, each metric as the control of all others, one-sided (multiple
-    comparisons with the best): the truly best metric is missing from the set in about 5 % of studies. With fewer than
-    5 reducers what holds for others cannot be told: no interval, no p. Where no reducer made stimuli of several
-    recordings, the factors are participants and recordings. ``honest_value`` has the interval of a bootstrap of all
-    factors, which errs on the wide side.
+    The correction for their number is the single-step maximum of t statistics under a multivariate t with U - 1
+    degrees of freedom, U the smallest of the three numbers. Three families, each at 5 %: every value against 0; every
+    metric against the baseline; and, for the confidence set of the best metric, each metric as the control of all
+    others, one-sided (multiple comparisons with the best). With fewer than 5 reducers there is no interval and no p.
+    Where no reducer made stimuli of several recordings, the factors are participants and recordings. ``honest_value``
+    has the interval of a bootstrap of all factors, which errs on the wide side.
 
-    In simulated studies of 12 people, 8 recordings, 6 reducers and 12 metrics of which none says anything (360, 240 and
-    360), any was said to predict in 0.6, 1.2 and 4.7 %, and to be better than the baseline in 2.2, 1.7 and 2.8 %, where
-    reducers differ by a standard deviation of 0, 3 and 8 points for reasons that no metric knows; in 7.5 and 4.2 % of
-    120 where by 25 points. A metric that explains 25 points per unit of itself was said to be better than the baseline
-    in 76, 74 and 53 %, and than every other metric in 53, 51 and 21 %; with 9 reducers and 8 points in 83 and 64 %.
+    In simulated studies of 12 people, 8 recordings, 6 reducers and 12 metrics of which none says anything, any was said
+    to be better than the baseline in 1.7 to 2.8 %, where reducers differ by up to 8 points for reasons that no metric
+    knows; a metric that explains 25 points per unit of itself was found in 53 to 76 %.
 
     References
     ----------
-    Hothorn, Bretz & Westfall (2008), Simultaneous inference in general parametric models, doi 10.1002/bimj.200810425;
-    Hsu (1984), Constrained simultaneous confidence intervals for multiple comparisons with the best, Annals of
-    Statistics 12, 1136-1144, doi 10.1214/aos/1176346732; Cameron, Gelbach & Miller (2011), Robust inference with
-    multiway clustering, doi 10.1198/jbes.2010.07136.
+    Hothorn, Bretz & Westfall (2008), doi 10.1002/bimj.200810425; Hsu (1984), doi 10.1214/aos/1176346732; Cameron,
+    Gelbach & Miller (2011), doi 10.1198/jbes.2010.07136.
 
     Examples
     --------
@@ -222,65 +151,45 @@ def rank_metrics(  # noqa: PLR0913 - one per choice
     check_draws(draws)
     check_name(method, METHODS, "method")
     own = ratings.rivals if isinstance(ratings, Table) and metrics is None else ()
-    names, notes = choose_metrics(ratings, metrics or own or None), list[str]()
-    items = make_items(ratings, names)
+    given = choose_metrics(ratings, metrics or own or None)
+    items = make_items(ratings, given)
     info, generator = info or choose_info(ratings), as_rng(rng)
-    signs = np.array([find_sign(info, name) for name in names])
+    signs = np.array([find_sign(info, name) for name in given])
     items = replace(items, metrics=items.metrics * signs[:, None])
-    names, items = _leave_flat(names, items, notes, ranked=method == "spearman")
+    names, items = _leave_flat(given, items, ranked=method == "spearman")
+    flat = [name for name in given if name not in names]
     control = _choose_control(items, names, baseline)
     whole = _score(items, np.ones((1, items.n_participants)), np.ones((1, items.n_recordings)))
-    spreads = () if _has_few_reducers(items) else find_spreads(items)
-    judged = _Judged(whole, spreads, freedom=_count_units(items) - 1, rng=generator)
+    is_few = 0 < items.n_reducers < FEWEST_REDUCERS
+    # Participants, sources or reducers, whichever are fewest, limit what is known.
+    units = min(items.n_participants, items.n_sources, items.n_reducers or items.n_sources)
+    spreads = () if is_few else find_spreads(items)
+    judged = _Judged(whole, spreads, freedom=units - 1, rng=generator)
     ceiling, more = find_ceiling(items, within=True)
     table = judged.tabulate(names, control)
     table["share"] = table["value"] / (np.nan if items.n_missing else ceiling)
     table = table.sort_values(["value", "fitted"], ascending=False, kind="stable")
     better = table.index[(table["over_p"] < LEVEL) & (table["over_baseline"] > 0)]
-    honest_low, honest_high = _bound_honest(items, whole, draws=draws, rng=generator)
-    return Ranking(
-        table=table, best=str(table.index[0]), alone=bool(table["may_be_best"].sum() == 1),
+    middle, margin = float(_to_z(whole.honest)[0]), np.nan
+    if not is_few:
+        margin = bootstrap_margin(_to_z(_draw(items, draws=draws, rng=generator).honest), units)
+    notes = [f"Not ranked, because constant within recordings: {', '.join(flat)}."] if flat else []
+    few = f"{items.n_reducers} reducers, where {FEWEST_REDUCERS} are needed for an interval."
+    alone = "No reducer made stimuli of several recordings: intervals are for other participants and recordings."
+    limits = [few] * is_few + [alone] * (not items.n_reducers)
+    return Statistic(
+        "Ranking", table=table, best=str(table.index[0]), alone=bool(table["may_be_best"].sum() == 1),
+        candidates=tuple(map(str, table.index[table["may_be_best"]])),
         baseline=names[control] if control is not None else "", better=tuple(map(str, better)),
-        honest_value=float(whole.honest[0]), honest_low=honest_low, honest_high=honest_high, ceiling=ceiling,
-        n_participants=items.n_participants, n_recordings=items.n_recordings, n_sources=items.n_sources,
-        n_reducers=items.n_reducers, n_items=items.n_items, draws=draws, method=method,
-        notes=(*items.notes, *notes, *more, *_note_reducers(items)),
+        honest_value=float(whole.honest[0]), honest_low=float(np.tanh(middle - margin)),
+        honest_high=float(np.tanh(middle + margin)), ceiling=ceiling, n_participants=items.n_participants,
+        n_recordings=items.n_recordings, n_sources=items.n_sources, n_reducers=items.n_reducers, n_items=items.n_items,
+        draws=draws, method=method, notes=(*items.notes, *notes, *more, *limits),
     )  # fmt: skip
 
 
-def _count_units(items: Items) -> int:
-    """Count the participants, sources or reducers, whichever are fewest: they limit what is known."""
-    return min(items.n_participants, items.n_sources, items.n_reducers or items.n_sources)
-
-
-def _has_few_reducers(items: Items) -> bool:
-    return 0 < items.n_reducers < FEWEST_REDUCERS
-
-
-def _note_reducers(items: Items) -> list[str]:
-    """Say what is not known of other reducers."""
-    if not items.n_reducers:
-        return [
-            "No reducer made stimuli of several recordings: intervals are for other participants and recordings."
-        ]
-    few = f"{items.n_reducers} reducers, where {FEWEST_REDUCERS} are needed for an interval."
-    return [few] if _has_few_reducers(items) else []
-
-
-def _bound_honest(
-    items: Items, whole: _Scores, *, draws: int, rng: np.random.Generator
-) -> tuple[float, float]:
-    """Bound the value of whichever metric the other recordings choose."""
-    if _has_few_reducers(items):
-        return float("nan"), float("nan")
-    middle = float(_to_z(whole.honest)[0])
-    drawn = _draw(items, draws=draws, rng=rng)
-    margin = bootstrap_margin(_to_z(drawn.honest), _count_units(items))
-    return float(np.tanh(middle - margin)), float(np.tanh(middle + margin))
-
-
 def _leave_flat(
-    names: Sequence[str], items: Items, notes: list[str], *, ranked: bool
+    names: Sequence[str], items: Items, *, ranked: bool
 ) -> tuple[tuple[str, ...], Items]:
     """Centre metrics, or their ranks, within recordings; leave out those that do not vary there."""
     centred = items.metrics.copy()
@@ -290,8 +199,6 @@ def _leave_flat(
             centred[:, own] = weighted_ranks(centred[:, own], np.ones(int(own.sum())))
         centred[:, own] -= centred[:, own].mean(axis=1, keepdims=True)
     varies = (centred**2).sum(axis=1) > FLAT * (items.metrics**2).sum(axis=1)
-    if flat := [name for name, moves in zip(names, varies, strict=True) if not moves]:
-        notes.append(f"Not ranked, because constant within recordings: {', '.join(flat)}.")
     left = tuple(name for name, moves in zip(names, varies, strict=True) if moves)
     return left, replace(items, metrics=centred[varies])
 

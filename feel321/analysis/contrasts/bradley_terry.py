@@ -1,22 +1,20 @@
 """Which of several would win a comparison, and by how much? The Bradley-Terry model of paired choices.
 
-Conventions: a row is a pair in the order in which it was presented. Four forms are understood: trials, with the
+Conventions: a row is a pair in the order in which it was presented. Three forms are understood: trials, with the
 columns ``first``, ``second`` and ``winner``; counts, whose first two columns name the pair and whose next two count
-the wins of each; and, without an order of presentation, trials with the columns ``winner`` and ``loser``, and a square
-table that counts how often the item of the row beat the item of the column.
+the wins of each; and, without an order of presentation, trials with the columns ``winner`` and ``loser``.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.arrays import CONFIDENCE, Values, check_columns, check_draws, read_groups
 from feel321.analysis.resampling import MOST_UNDEFINED, bootstrap_margin, draw_counts
 from feel321.doors import as_rng, check_name
-from feel321.records import Result
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,53 +41,6 @@ CLOSE = 1e-9
 RIDGE, LOOSE = 1e-10, 1e-9
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class BradleyTerry(Result):
-    """A fitted Bradley-Terry model.
-
-    Parameters
-    ----------
-    fixed : DataFrame, indexed by item
-        ``estimate``, the ability as log odds against the reference (whose row is 0); ``se``; ``z`` and ``p``,
-        Wald, two-sided; ``low`` and ``high``, the 95 % interval. With an order effect a last row ``order``:
-        log odds of the first presented against an equal.
-    deviance : float
-        Against the model that fits every row of counts.
-    df : int
-        Its degrees of freedom.
-    log_likelihood : float
-        Binomial, constants included.
-    reference : str
-        The item with ability 0.
-    n_comparisons, n_ties : int
-        Comparisons, and how many of them were ties.
-    uncertainty : str
-        Where the errors come from.
-    notes : tuple of str
-        What is to be read with care, one sentence each.
-    """
-
-    fixed: DataFrame
-    deviance: float
-    df: int
-    log_likelihood: float
-    reference: str
-    n_comparisons: float
-    n_ties: int
-    uncertainty: str
-    notes: tuple[str, ...] = ()
-
-    def to_frame(self) -> DataFrame:
-        """Return the abilities as a table.
-
-        Returns
-        -------
-        DataFrame
-            A row per item, with the columns of `fixed`.
-        """
-        return self.fixed.rename_axis("item").reset_index()
-
-
 class Duels(NamedTuple):
     """Wins by pair: items, the first and the second of each row (n_rows,), and the wins of both (n_rows, 2)."""
 
@@ -97,8 +48,13 @@ class Duels(NamedTuple):
     first: Codes
     second: Codes
     wins: Values
-    n_ties: int
-    ordered: bool = True
+
+    def merge(self) -> Duels:
+        """Put rows of the same pair in the same order together."""
+        size = len(self.items)
+        both, row = np.unique(self.first * size + self.second, return_inverse=True)
+        wins = np.stack([np.bincount(row, self.wins[:, side]) for side in (0, 1)], axis=1)
+        return Duels(self.items, both // size, both % size, wins.astype(np.float64))
 
 
 def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its bootstrap
@@ -111,7 +67,7 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     by_rater: bool | str = False,
     draws: int = 1000,
     rng: Rng = 0,
-) -> BradleyTerry:
+) -> Statistic:
     """Fit a Bradley-Terry model to paired comparisons.
 
     Parameters
@@ -119,7 +75,7 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     pairs : DataFrame
         Trials, with the columns ``first``, ``second`` and ``winner``; or counts, whose first two columns name
         the pair and whose next two count the wins of each. First is what was presented first. Where that is not
-        known: trials with ``winner`` and ``loser``, or a square table of the wins of rows over columns.
+        known: trials with ``winner`` and ``loser``.
     reference : str, optional
         The item with ability 0; the first by alphabet if not given.
     order_effect : bool
@@ -138,8 +94,11 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
 
     Returns
     -------
-    BradleyTerry
-        Abilities, errors and fit; by rater with ``p`` and interval on raters - 1 degrees of freedom.
+    Statistic
+        ``fixed``, indexed by item: ``estimate``, the ability as log odds against the reference (whose row is 0),
+        ``se``, ``z``, ``p``, two-sided, ``low`` and ``high``, 95 %; with an order effect a last row ``order``, the log
+        odds of the first presented against an equal. ``deviance`` against the model that fits every row, ``df``,
+        ``log_likelihood``, ``reference``, ``n_comparisons``, ``n_ties``, ``uncertainty`` and ``notes``.
 
     Notes
     -----
@@ -154,13 +113,10 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     λ ± t(.975, U - 1) se. Draws in which an item always wins or loses, or meets no other, have no estimate; where they
     are more than a tenth, there is no interval, and a note says so. These stimuli are taken as the only ones.
 
-    The report uses it for triplets and preferences, and it takes tables of preferences from elsewhere.
-
     References
     ----------
-    Bradley & Terry (1952), Biometrika 39, 324-345, doi 10.1093/biomet/39.3-4.324.
-    Ford (1957), Am. Math. Monthly 64, 28-33, doi 10.1080/00029890.1957.11989117.
-    Turner & Firth (2012), J. Stat. Softw. 48(9), doi 10.18637/jss.v048.i09.
+    Bradley & Terry (1952), doi 10.1093/biomet/39.3-4.324; Ford (1957), doi 10.1080/00029890.1957.11989117; Turner &
+    Firth (2012), doi 10.18637/jss.v048.i09.
 
     Examples
     --------
@@ -171,6 +127,7 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     >>> result = analysis.bradley_terry(pairs)
     >>> result.fixed[["estimate", "se"]].round(2)
             estimate    se
+    item
     dft321      0.00  0.00
     pca321     -1.04  0.43
     sax321     -1.83  0.48
@@ -184,47 +141,49 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
         if len(raters) < 2:  # noqa: PLR2004 - a spread needs two
             raise ValueError("trials must be of two raters or more, got one; leave by_rater out")
         pairs, ties = pairs.drop(columns=rater), "half"
-    rows, kept = _read_rows(pairs, ties=ties)
-    duels = _merge(rows) if "winner" in pairs else rows
+    rows, kept, n_ties = _read_rows(pairs, ties=ties)
+    duels = rows.merge() if "winner" in pairs else rows
     if not 0 <= prior < np.inf:
         raise ValueError(f"prior must be 0 or more, got {prior}; 0.5 is usual")
     # Items are names, even where a table holds numbers.
-    base = duels.items[0] if reference is None else str(reference)
-    check_name(base, duels.items, "reference")
-    wins = duels.wins + prior
+    base = check_name(
+        duels.items[0] if reference is None else str(reference), duels.items, "reference"
+    )
+    if order_effect and "loser" in pairs:
+        raise ValueError(
+            "order_effect needs pairs that say which was presented first, got others; leave it out"
+        )
+    wins, place = duels.wins + prior, duels.items.index(base)
     _check_separation(duels, wins)
-    design, names = _build_design(duels, duels.items.index(base), order_effect=order_effect)
-    beta, errors = _fit_one(wins, design, names)
-    notes = [f"{duels.n_ties} ties count half a win for each."] if duels.n_ties else []
+    design, names = _build_design(duels, place, order_effect=order_effect)
+    (beta,), (curvature,), (is_astray,) = _fit_many(wins[None], design)
+    if is_astray:
+        worst = names[int(np.abs(beta).argmax())]
+        raise ValueError(
+            f"pairs must have no separation, but the estimate of '{worst}' runs away; use prior=0.5"
+        )
+    errors, freedom = np.sqrt(np.linalg.inv(curvature).diagonal()), np.inf
+    source = "95 % Wald interval, comparisons taken for independent"
+    notes = [f"{n_ties} ties count half a win for each."] if n_ties else []
     if prior:
         notes.append(
             f"{prior:g} wins are added to both sides of every row; abilities are shrunken."
         )
-    source, freedom = "95 % Wald interval, comparisons taken for independent", np.inf
     if people is not None:
-        drawn = _draw_abilities(
-            rows, people[kept], base=base, order_effect=order_effect, draws=draws, rng=as_rng(rng)
-        )
-        freedom, source = people.max(), "95 % bootstrap interval over raters"
-        errors, more = _find_errors(drawn, int(freedom) + 1)
+        everyone, met = _count_by_rater(rows, people[kept])
+        design_met, _ = _build_design(met, place, order_effect=order_effect)
+        weights = draw_counts(len(everyone), draws, rng=as_rng(rng))
+        drawn, _, astray = _fit_many(np.einsum("dr,rps->dps", weights, everyone), design_met)
+        drawn[astray] = np.nan
+        freedom, source = len(everyone) - 1, "95 % bootstrap interval over raters"
+        errors, more = _find_errors(drawn, len(everyone))
         notes += more
     deviance, likelihood = _judge_fit(wins, design @ beta)
-    return BradleyTerry(
-        fixed=_tabulate(beta, errors, names=names, reference=base, freedom=float(freedom)), deviance=deviance,
-        df=len(wins) - len(names), log_likelihood=likelihood, reference=base, n_comparisons=float(duels.wins.sum()),
-        n_ties=duels.n_ties, uncertainty=source, notes=tuple(notes),
+    return Statistic(
+        "BradleyTerry", fixed=_tabulate(beta, errors, names=names, reference=base, freedom=float(freedom)),
+        deviance=deviance, df=len(wins) - len(names), log_likelihood=likelihood, reference=base,
+        n_comparisons=float(duels.wins.sum()), n_ties=n_ties, uncertainty=source, notes=tuple(notes),
     )  # fmt: skip
-
-
-def _fit_one(wins: Values, design: Values, names: list[str]) -> tuple[Values, Values]:
-    """Estimate log odds and their standard errors, comparisons taken for independent."""
-    beta, curvature, astray = _fit_many(wins[None], design)
-    if astray[0]:
-        worst = names[int(np.abs(beta[0]).argmax())]
-        raise ValueError(
-            f"pairs must have no separation, but the estimate of '{worst}' runs away; use prior=0.5"
-        )
-    return beta[0], np.sqrt(np.linalg.inv(curvature[0]).diagonal())
 
 
 def _judge_fit(wins: Values, odds: Values) -> tuple[float, float]:
@@ -238,27 +197,14 @@ def _judge_fit(wins: Values, odds: Values) -> tuple[float, float]:
     return max(deviance, 0.0), float(ways + (wins * logs).sum())
 
 
-def _draw_abilities(
-    rows: Duels,
-    people: Codes,
-    *,
-    base: str,
-    order_effect: bool,
-    draws: int,
-    rng: np.random.Generator,
-) -> Values:
-    """Fit every draw of raters, in the order of the table's rows without the reference."""
-    count, size = int(people.max()) + 1, len(rows.items)
-    everyone = np.zeros((count, size * size, 2))
+def _count_by_rater(rows: Duels, people: Codes) -> tuple[Values, Duels]:
+    """Count the wins of every rater, (n_raters, n_pairs, 2), in pairs that somebody met."""
+    size = len(rows.items)
+    everyone = np.zeros((int(people.max()) + 1, size * size, 2))
     np.add.at(everyone, (people, rows.first * size + rows.second), rows.wins)
     met = np.flatnonzero(everyone.sum(axis=(0, 2)))
     everyone = everyone[:, met]
-    duels = Duels(rows.items, met // size, met % size, everyone.sum(axis=0), 0, rows.ordered)
-    design, _ = _build_design(duels, rows.items.index(base), order_effect=order_effect)
-    weights = draw_counts(count, draws, rng=rng)
-    beta, _, astray = _fit_many(np.einsum("dr,rps->dps", weights, everyone), design)
-    beta[astray] = np.nan
-    return beta
+    return everyone, Duels(rows.items, met // size, met % size, everyone.sum(axis=0))
 
 
 def _find_errors(drawn: Values, n_raters: int) -> tuple[Values, list[str]]:
@@ -319,10 +265,6 @@ def _build_design(duels: Duels, base: int, *, order_effect: bool) -> tuple[Value
         raise ValueError(
             f"pairs must not have an item named '{ORDER}', the name of the order effect; rename it"
         )
-    if not duels.ordered:
-        raise ValueError(
-            "order_effect needs pairs that say which was presented first, got others; leave it out"
-        )
     design = np.column_stack([design, np.ones(len(design))])
     if np.linalg.matrix_rank(design) < design.shape[1]:
         raise ValueError(
@@ -356,7 +298,7 @@ def _tabulate(
     from pandas import DataFrame
     from scipy.stats import t
 
-    fixed = DataFrame({"estimate": estimates, "se": errors}, index=names)
+    fixed = DataFrame({"estimate": estimates, "se": errors}, index=names).rename_axis("item")
     margin = float(t.ppf((1 + CONFIDENCE) / 2, freedom)) * fixed["se"]
     fixed["z"] = fixed["estimate"] / fixed["se"]
     fixed["p"] = 2 * t.sf(np.abs(fixed["z"]), freedom)
@@ -365,21 +307,8 @@ def _tabulate(
     return fixed.loc[sorted(fixed.index, key=lambda name: (name == ORDER, name))]
 
 
-def count_duels(pairs: DataFrame, *, ties: str = "refuse") -> Duels:
-    """Read paired comparisons, trials of the same pair in the same order together."""
-    rows, _ = _read_rows(pairs, ties=ties)
-    return _merge(rows) if "winner" in pairs else rows
-
-
-def _merge(duels: Duels) -> Duels:
-    size = len(duels.items)
-    both, row = np.unique(duels.first * size + duels.second, return_inverse=True)
-    wins = np.stack([np.bincount(row, duels.wins[:, side]) for side in (0, 1)], axis=1)
-    return duels._replace(first=both // size, second=both % size, wins=wins.astype(np.float64))
-
-
-def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_]]:
-    """Read paired comparisons as they are, and which rows held one."""
+def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_], int]:
+    """Read paired comparisons as they are, which rows held one, and how many were ties."""
     from pandas import DataFrame
 
     if not isinstance(pairs, DataFrame):
@@ -387,9 +316,23 @@ def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_]
             f"pairs must be a pandas DataFrame, one row per pair or trial, got {type(pairs).__name__}"
         )
     check_name(ties, TIES, "ties")
-    if pairs.empty:
-        raise ValueError("pairs must hold a comparison or more, got no row")
-    names, wins, n_ties, ordered = _read_form(pairs, ties)
+    n_ties, columns = 0, list(pairs.columns)
+    if "winner" in pairs:
+        is_ordered = "loser" not in pairs
+        columns = [*TRIAL] if is_ordered else ["winner", "loser"]
+        check_columns(pairs, columns, "pairs")
+    elif len(columns) < COUNTED:
+        raise ValueError(
+            f"pairs must have the columns {', '.join(TRIAL)}, or two names and two counts, got {', '.join(columns)}"
+        )
+    names = _read_names(pairs, columns[:2])
+    if "winner" not in pairs:
+        wins = _read_counts(pairs[columns[2:COUNTED]])
+    elif is_ordered:
+        wins, n_ties = _read_winners(pairs, names, ties)
+    else:
+        sides, names = names, np.sort(names, axis=1)
+        wins = (names == sides[:, :1]).astype(np.float64)
     same = names[:, 0] == names[:, 1]
     if same.any():
         raise ValueError(
@@ -400,39 +343,10 @@ def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_]
         raise ValueError("pairs must hold a comparison or more, got no win in any row")
     items, codes = np.unique(names[met], return_inverse=True)
     one, other = codes.reshape(-1, 2).T
-    return Duels(tuple(items.tolist()), one, other, wins[met], n_ties, ordered), met
+    return Duels(tuple(items.tolist()), one, other, wins[met]), met, n_ties
 
 
-def _read_form(pairs: DataFrame, ties: str) -> tuple[Names, Values, int, bool]:
-    """Read names and wins, (n_rows, 2) each, the number of ties, and whether the order is known."""
-    numbers = pairs.select_dtypes("number").shape == pairs.shape
-    if numbers and list(map(str, pairs.index)) == list(map(str, pairs.columns)):
-        items = pairs.columns.astype(str).to_numpy(dtype=np.str_)
-        counts = _read_counts(pairs.where(pairs.notna(), 0))
-        if np.diag(counts).any() or len(set(items)) < len(items):
-            raise ValueError(
-                "pairs must be 0 on the diagonal of a square table, got an item twice or against itself"
-            )
-        one, other = np.triu_indices(len(items), 1)
-        wins = np.stack([counts[one, other], counts[other, one]], axis=1)
-        return np.stack([items[one], items[other]], axis=1), wins, 0, False
-    if "winner" in pairs and "loser" in pairs:
-        sides = _read_names(pairs, ("winner", "loser"))
-        names = np.sort(sides, axis=1)
-        return names, (names == sides[:, :1]).astype(np.float64), 0, False
-    if "winner" in pairs:
-        check_columns(pairs, TRIAL, "pairs")
-        names = _read_names(pairs, TRIAL[:2])
-        return names, *_read_winners(pairs, names, ties), True
-    if pairs.shape[1] < COUNTED:
-        got = ", ".join(map(str, pairs.columns))
-        raise ValueError(
-            f"pairs must have the columns {', '.join(TRIAL)}, or two names and two counts, got {got}"
-        )
-    return _read_names(pairs, pairs.columns[:2]), _read_counts(pairs.iloc[:, 2:COUNTED]), 0, True
-
-
-def _read_names(pairs: DataFrame, columns: Any) -> Names:  # noqa: ANN401 - labels of any kind
+def _read_names(pairs: DataFrame, columns: list[str]) -> Names:
     for column in columns:
         if missing := int(pairs[column].isna().sum()):
             raise ValueError(

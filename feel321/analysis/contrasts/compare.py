@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -26,77 +25,15 @@ from feel321.analysis.table.items import (
 )
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.doors import check_name
-from feel321.records import Result
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-
 SIGNIFICANCE = 0.05
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Equivalence(Result):
-    """Two one-sided tests of an estimate against a margin.
-
-    Parameters
-    ----------
-    estimate : float
-        What was tested, usually a difference.
-    t_low, p_low : float
-        Test of "not below the margin": estimate against `low`, one-sided.
-    t_high, p_high : float
-        Test of "not above the margin": estimate against `high`, one-sided.
-    p : float
-        The larger of the two: of equivalence.
-    low90, high90 : float
-        90 % interval of the estimate; within the margin exactly if p < .05.
-    low, high : float
-        The margin.
-    equivalent : bool
-        Whether p < .05.
-    """
-
-    estimate: float
-    t_low: float
-    p_low: float
-    t_high: float
-    p_high: float
-    p: float
-    low90: float
-    high90: float
-    low: float
-    high: float
-    equivalent: bool
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class NonInferiority(Result):
-    """A one-sided test that an estimate is not worse than a margin.
-
-    Parameters
-    ----------
-    estimate : float
-        What was tested, usually cheaper minus dearer.
-    t, p : float
-        Of the estimate against the margin, one-sided.
-    bound : float
-        95 % one-sided bound of the estimate, on the side of harm.
-    margin : float
-        The harm that is still accepted.
-    non_inferior : bool
-        Whether p < .05.
-    """
-
-    estimate: float
-    t: float
-    p: float
-    bound: float
-    margin: float
-    non_inferior: bool
-
-
-def equivalence(estimate: float, se: float, df: float, *, low: float, high: float) -> Equivalence:
+def equivalence(estimate: float, se: float, df: float, *, low: float, high: float) -> Statistic:
     """Test whether an estimate lies within a margin: two one-sided tests.
 
     Parameters
@@ -113,8 +50,9 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
 
     Returns
     -------
-    Equivalence
-        Both tests, the 90 % interval, and whether it lies within the margin.
+    Statistic
+        ``estimate``; ``t_low p_low``, against `low`, and ``t_high p_high``, against `high`, one-sided; ``p``, the
+        larger; ``low90 high90``, the 90 % interval, within the margin exactly if p < .05; ``low high equivalent``.
 
     Notes
     -----
@@ -126,8 +64,7 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
 
     References
     ----------
-    Schuirmann (1987), J. Pharmacokinet. Biopharm. 15, 657-680, doi 10.1007/BF01068419.
-    Lakens (2017), Soc. Psychol. Personal. Sci. 8, 355-362, doi 10.1177/1948550617697177.
+    Schuirmann (1987), doi 10.1007/BF01068419; Lakens (2017), doi 10.1177/1948550617697177.
 
     Examples
     --------
@@ -148,8 +85,8 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     t_low, t_high = (estimate - low) / se, (estimate - high) / se
     p_low, p_high = float(t.sf(t_low, df)), float(t.cdf(t_high, df))
     p, (low90, high90) = max(p_low, p_high), find_interval90(estimate, se, df)
-    return Equivalence(
-        estimate, t_low, p_low, t_high, p_high, p,
+    return Statistic(
+        "Equivalence", estimate=estimate, t_low=t_low, p_low=p_low, t_high=t_high, p_high=p_high, p=p,
         low90=low90, high90=high90, low=low, high=high, equivalent=p < SIGNIFICANCE,
     )  # fmt: skip
 
@@ -162,41 +99,13 @@ def find_interval90(estimate: float, se: float, df: float) -> tuple[float, float
     return estimate - half, estimate + half
 
 
-def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> NonInferiority:
-    """Test whether an estimate is not worse than a margin.
+def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> Statistic:
+    """Test whether an estimate is not worse than a margin (Piaggio et al. 2012, doi 10.1001/jama.2012.87802).
 
-    Parameters
-    ----------
-    estimate : float
-        A difference: the cheaper reducer's rating minus the dearer one's.
-    se : float
-        Its standard error, above 0.
-    df : float
-        Its degrees of freedom; infinity for a normal estimate.
-    margin : float
-        The worst difference that is still accepted, fixed before seeing data. Negative where higher is
-        better (-5: up to five points lower); positive where lower is better (a dissimilarity, a cost).
-
-    Returns
-    -------
-    NonInferiority
-        The test and the one-sided bound.
-
-    Notes
-    -----
-    H0: the true value is at the margin or beyond. t = (estimate - margin)/se, one-sided, away from the harm.
-    It is one half of `equivalence`: a cheaper reducer may be better without limit.
-
-    References
-    ----------
-    Piaggio et al. (2012), JAMA 308, 2594-2604, doi 10.1001/jama.2012.87802.
-
-    Examples
-    --------
-    >>> from feel321 import analysis
-    >>> result = analysis.non_inferiority(-1.5, 1.2, 11, margin=-5)
-    >>> round(result.t, 3), round(result.p, 4), round(result.bound, 2), result.non_inferior
-    (2.917, 0.007, -3.66, True)
+    estimate: the cheaper reducer's rating minus the dearer one's; margin: the worst difference that is still accepted,
+    fixed before seeing data: negative where higher is better, positive where lower is better. Gives ``estimate``, ``t``
+    and ``p`` against the margin, one-sided, ``bound``, the 95 % bound on the side of harm, ``margin``,
+    ``non_inferior``. It is one half of `equivalence`: a cheaper reducer may be better without limit.
     """
     from scipy.stats import t
 
@@ -209,7 +118,10 @@ def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> 
     statistic = (estimate - margin) / se
     p = float(t.sf(away * statistic, df))
     bound = estimate - away * float(t.ppf(1 - SIGNIFICANCE, df)) * se
-    return NonInferiority(estimate, statistic, p, bound, margin, p < SIGNIFICANCE)
+    return Statistic(
+        "NonInferiority", estimate=estimate, t=statistic, p=p, bound=bound, margin=margin,
+        non_inferior=p < SIGNIFICANCE,
+    )  # fmt: skip
 
 
 def _check_numbers(estimate: float, se: float, df: float, **limits: float) -> None:
@@ -234,34 +146,11 @@ def participant_means(ratings: Table | DataFrame) -> DataFrame:
 
 
 def profile_reducers(ratings: Table | DataFrame) -> DataFrame:
-    """Mean rating of each reducer with its interval over participants.
+    """Mean rating of each reducer with its interval over participants: a row per scale, level, role and reducer.
 
-    Parameters
-    ----------
-    ratings : Table or DataFrame
-        Ratings: participant, stimulus_id, reducer, level, role, scale, rating; rejected rows are left out.
-
-    Returns
-    -------
-    DataFrame
-        scale, level, role, reducer, mean, low, high, n_participants, n_stimuli, n_ratings; one row each.
-
-    Notes
-    -----
     The interval is mean ± t(.975, P - 1) SD / sqrt(P) over the P participants' means: it holds for other
     participants judging these recordings, not for other recordings. It ends where the scale ends. NaN for a single
     participant, and where all means are alike, as at an end of the scale: that does not show how people differ.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> rows = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "reducer": list("uvuv"),
-    ...     "level": "as_is", "role": "test", "scale": "realism", "rating": [20, 70, 30, 90]})
-    >>> analysis.profile_reducers(rows)[["reducer", "mean", "n_participants"]]
-      reducer  mean  n_participants
-    0       u  25.0               2
-    1       v  80.0               2
     """
     profile = _summarise(participant_means(ratings), GROUP)
     rows = _read_rows(ratings, GROUP).groupby(GROUP, observed=True)
@@ -315,54 +204,6 @@ GROUPS = {
 """Spreads of the model of reducers -> the columns that they are over."""
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class ReducerDifference(Result):
-    """Difference between the mean ratings of two reducers, and whether it matters.
-
-    Parameters
-    ----------
-    first, second : str
-        The reducers; the difference is first minus second.
-    estimate, se, df, p : float
-        Difference in points, its standard error, Satterthwaite's degrees of freedom, and two-sided p.
-    low, high, low90, high90 : float
-        95 % and 90 % interval of the difference; equivalence is shown where the latter lies within the margin.
-    margin_low, margin_high : float
-        The largest differences that would not matter; NaN where nobody chose any.
-    p_equivalence, p_non_inferiority : float
-        That the difference lies within the margin; that the first is not worse than the second by more than it; NaN
-        without a margin.
-    equivalent, non_inferior : bool or None
-        Whether these are below .05; None without a margin.
-    n : int
-        Participant x stimulus cells.
-    formula : str
-        The mixed model.
-    notes : tuple of str
-        What was left out.
-    """
-
-    first: str
-    second: str
-    estimate: float
-    se: float
-    df: float
-    p: float
-    low: float
-    high: float
-    low90: float
-    high90: float
-    margin_low: float
-    margin_high: float
-    p_equivalence: float
-    p_non_inferiority: float
-    equivalent: bool | None
-    non_inferior: bool | None
-    n: int
-    formula: str
-    notes: tuple[str, ...] = ()
-
-
 def compare_reducers(  # noqa: PLR0913 - which rows, and the margin in either form
     ratings: Table | DataFrame,
     first: str,
@@ -373,7 +214,7 @@ def compare_reducers(  # noqa: PLR0913 - which rows, and the margin in either fo
     margin: float | None = None,
     low: float | None = None,
     high: float | None = None,
-) -> ReducerDifference:
+) -> Statistic:
     """Compare the ratings of two reducers: fit a mixed model, contrast it, and test the difference against a margin.
 
     Parameters
@@ -392,8 +233,10 @@ def compare_reducers(  # noqa: PLR0913 - which rows, and the margin in either fo
 
     Returns
     -------
-    ReducerDifference
-        The difference with its interval and tests.
+    Statistic
+        ``first second``; ``estimate se df p``, the difference first minus second in points; ``low high low90 high90``,
+        95 % and 90 % interval; ``margin_low margin_high p_equivalence p_non_inferiority``, NaN without a margin;
+        ``equivalent non_inferior``, None without; ``n``, participant x stimulus cells; ``formula notes``.
 
     Notes
     -----
@@ -423,20 +266,29 @@ def compare_reducers(  # noqa: PLR0913 - which rows, and the margin in either fo
         check_name(name, rated, what)
     if first == second:
         raise ValueError(f"second must be another reducer than the first, got {second!r} twice")
-    ends = _find_margin(margin, (low, high))
+    ends = None if low is None or high is None else (low, high)
+    if margin is not None:
+        ends = (-margin, margin)
+    if (low is None) != (high is None) or (margin is not None and low is not None):
+        raise ValueError("margin must be one number, or low and high both, got another combination")
+    if margin is not None and not margin > 0:
+        raise ValueError(f"margin must be above 0 points, got {margin}")
     fit, terms, n = fit_reducers(rows, rated)
     found = contrast(fit, {terms[first]: 1, terms[second]: -1})
     numbers = found.estimate, found.se, found.df
-    same = worse = None
+    low90, high90 = find_interval90(*numbers)
+    tested = {"p_equivalence": math.nan, "p_non_inferiority": math.nan}
+    verdicts: dict[str, bool | None] = {"equivalent": None, "non_inferior": None}
     if ends is not None:
         same = equivalence(*numbers, low=ends[0], high=ends[1])
         worse = non_inferiority(*numbers, margin=ends[0])
-    return ReducerDifference(
-        first, second, *numbers, found.p, found.low, found.high, *find_interval90(*numbers),
-        *(ends or (math.nan, math.nan)),
-        p_equivalence=same.p if same else math.nan, p_non_inferiority=worse.p if worse else math.nan,
-        equivalent=same.equivalent if same else None, non_inferior=worse.non_inferior if worse else None, n=n,
-        formula=fit.formula, notes=tuple(notes),
+        tested = {"p_equivalence": same.p, "p_non_inferiority": worse.p}
+        verdicts = {"equivalent": same.equivalent, "non_inferior": worse.non_inferior}
+    margin_low, margin_high = ends or (math.nan, math.nan)
+    return Statistic(
+        "ReducerDifference", first=first, second=second, estimate=found.estimate, se=found.se, df=found.df, p=found.p,
+        low=found.low, high=found.high, low90=low90, high90=high90, margin_low=margin_low, margin_high=margin_high,
+        **tested, **verdicts, n=n, formula=fit.formula, notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -450,16 +302,7 @@ def fit_reducers(rows: DataFrame, names: Sequence[str]) -> tuple[MixedFit, dict[
     return fit_mixed(_write_formula(cells), cells), terms, len(cells)
 
 
-class JointTest(NamedTuple):
-    """An F test of all reducers at once."""
-
-    statistic: float
-    df_1: float
-    df_2: float
-    p: float
-
-
-def compare_terms(fit: MixedFit, terms: Sequence[str]) -> JointTest:
+def compare_terms(fit: MixedFit, terms: Sequence[str]) -> Statistic:
     """Test whether the terms of a mixed model's factor, one per level, are all alike: F with Satterthwaite's df.
 
     The contrasts are made independent by the eigenvectors of their covariance; F is the mean of their t², and the
@@ -481,22 +324,8 @@ def compare_terms(fit: MixedFit, terms: Sequence[str]) -> JointTest:
         2 * expected / (expected - df_1) if np.isfinite(expected) else min(one.df for one in found)
     )
     df_2 = found[0].df if len(found) == 1 else df_2
-    return JointTest(f, df_1, float(df_2), float(fisher.sf(f, df_1, df_2)))
-
-
-def _find_margin(
-    margin: float | None, ends: tuple[float | None, float | None]
-) -> tuple[float, float] | None:
-    low, high = ends
-    if low is not None and high is not None and margin is None:
-        return low, high
-    if low is not None or high is not None:
-        raise ValueError("margin must be one number, or low and high both, got another combination")
-    if margin is None:
-        return None
-    if not margin > 0:
-        raise ValueError(f"margin must be above 0 points, got {margin}")
-    return -margin, margin
+    p = float(fisher.sf(f, df_1, df_2))
+    return Statistic("JointTest", statistic=f, df_1=df_1, df_2=float(df_2), p=p)
 
 
 def _write_formula(cells: DataFrame) -> str:

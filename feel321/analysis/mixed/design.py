@@ -156,30 +156,31 @@ class MixedDesign:
 def build_design(formula: str, data: DataFrame) -> MixedDesign:
     """Build a model's matrices."""
     parsed = parse_formula(formula)
-    clean = _settle_types(data)
+    _check_table(data)
     plain = re.fullmatch(r"[\w.]+|`[^`]+`", parsed.response)
     # Arithmetic, not formula operators: y / 10 is no nesting.
     response = parsed.response if plain else f"I({parsed.response})"
-    values = _expand(f"0 + {response}", clean, "the response").columns
+    values = _expand(f"0 + {response}", data, "the response").columns
     if values.shape[1] != 1:
         raise ValueError(
             f"formula must have a response of numbers, got {values.shape[1]} columns for {parsed.response!r}"
         )
-    names, fixed, coding = _expand(parsed.fixed, clean, "the fixed part")
-    design = MixedDesign(values[:, 0], names, fixed, _read_factors(parsed, clean), coding)
+    names, fixed, coding = _expand(parsed.fixed, data, "the fixed part")
+    design = MixedDesign(values[:, 0], names, fixed, _read_factors(parsed, data), coding)
     _check_fixed(design)
     return design
 
 
 def read_new_rows(names: Sequence[str], coding: Any, data: DataFrame) -> Matrix:  # noqa: ANN401 - formulaic has no types
     """Compute the columns of a fixed part for new rows, coded as those that were fitted."""
-    settled = _settle_types(data)
+    _check_table(data)
     try:
         if coding is None:
-            plain = settled.assign(**{"(Intercept)": 1.0})[list(names)]
+            plain = data.assign(**{"(Intercept)": 1.0})[list(names)]
             return plain.to_numpy(np.float64)
         with warnings.catch_warnings():
             warnings.simplefilter("error")  # a level that was not fitted is only warned of
+            settled = _settle_types(data)
             return np.asarray(coding.get_model_matrix(settled, context=_list_functions()), float)
     except Exception as error:
         raise ValueError(
@@ -187,21 +188,22 @@ def read_new_rows(names: Sequence[str], coding: Any, data: DataFrame) -> Matrix:
         ) from error
 
 
-def _settle_types(data: DataFrame) -> DataFrame:
-    """Make numbers numbers and words words, whatever pandas keeps them in."""
+def _check_table(data: DataFrame) -> None:
     import pandas as pd
 
     if not isinstance(data, pd.DataFrame):
         raise TypeError(
             f"data must be a pandas DataFrame, one row per observation, got {type(data).__name__}"
         )
-    if not data.columns.is_unique:
-        twice = data.columns[data.columns.duplicated()][0]
+    if data.empty or not data.columns.is_unique:
         raise ValueError(
-            f"data must have each column once, got {twice!r} twice; rename or drop one"
+            "data must have one row per observation and each column once, got no rows, or one of "
+            f"{', '.join(map(str, data.columns))} twice; rename or drop it"
         )
-    if data.empty:
-        raise ValueError("data must have one row per observation, got no rows")
+
+
+def _settle_types(data: DataFrame) -> DataFrame:
+    """Make numbers numbers and words words, whatever pandas keeps them in."""
     settled = data.reset_index(drop=True).infer_objects()
     new = {}
     for name, column in settled.items():
@@ -226,19 +228,18 @@ class Expanded(NamedTuple):
 
 def _expand(text: str, data: DataFrame, what: str) -> Expanded:
     """Write out a sum of columns of numbers without formulaic, which takes a tenth of a fit; all else with it."""
-    if text == "1":
-        return Expanded(("(Intercept)",), np.ones((len(data), 1)))
-    first, *rest = text.split(" + ")
-    pieces = rest if first in {"0", "1"} else [first, *rest]
-    names = [piece.strip("`") for piece in pieces if re.fullmatch(NAME, piece)]
-    numbers = [name for name in names if name in data and data[name].dtype in (float, int)]
-    if len(set(numbers)) == len(pieces) and text != "0":
-        ones = () if first == "0" else ("(Intercept)",)
-        values = np.ones((len(data), len(ones)))
-        if numbers:
-            values = np.column_stack([values, data[numbers].to_numpy(np.float64)])
+    pieces = text.split(" + ")
+    names = [piece.strip("`") for piece in pieces[pieces[0] in {"0", "1"} :]]
+    plain = all(re.fullmatch(NAME, f"`{name}`") and name in data for name in names)
+    if text == "0" or not plain or len(set(names)) < len(names):
+        return _run_formulaic(text, data, what)
+    columns = [data[name] for name in names]
+    ones = () if pieces[0] == "0" else ("(Intercept)",)
+    if all(column.dtype in (float, int) for column in columns):
+        parts = [np.ones(len(data)) for _ in ones]
+        values = np.stack([*parts, *(column.to_numpy(np.float64) for column in columns)], axis=1)
         if np.isfinite(values).all():
-            return Expanded((*ones, *numbers), values)
+            return Expanded((*ones, *names), values)
     return _run_formulaic(text, data, what)
 
 
@@ -246,6 +247,7 @@ def _run_formulaic(text: str, data: DataFrame, what: str) -> Expanded:
     from formulaic import model_matrix
     from formulaic.errors import FormulaicError
 
+    data = _settle_types(data)
     known = (FormulaicError, SyntaxError, TypeError, ValueError, LookupError, AttributeError)
     try:
         with warnings.catch_warnings():
@@ -309,7 +311,7 @@ def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
             raise ValueError(
                 f"formula must have an effect such as 1, x or 0 + x in ({bracket.effects} | {name}), got none"
             )
-        before = merged.get(name) or Factor(name, *_read_levels(bracket, known), ())
+        before = merged.get(name) or Factor(name, *_combine_levels(bracket, known), ())
         merged[name] = replace(before, terms=(*before.terms, *terms))
     for factor in merged.values():
         _check_factor(factor)
@@ -318,6 +320,8 @@ def _read_factors(parsed: Formula, data: DataFrame) -> tuple[Factor, ...]:
 
 def _split_effects(effects: str) -> list[str]:
     """Write a double bar out as lme4 does: term by term, so that the levels of one category stay together."""
+    if re.fullmatch(rf"1( \+ {NAME})*", effects):
+        return ["1", *(f"0 + {name}" for name in effects.split(" + ")[1:])]
     from formulaic import Formula as Parser
     from formulaic.errors import FormulaicError
 
@@ -347,10 +351,10 @@ def _number_levels(data: DataFrame, name: str) -> tuple[NDArray[np.intp], NDArra
         raise ValueError(
             f"data must have a level of {name} in every row, got rows without; leave them out"
         )
-    return codes, pd.Index(values).astype(str).to_numpy(object)
+    return codes, np.array(list(map(str, values)), dtype=object)
 
 
-def _read_levels(
+def _combine_levels(
     bracket: RandomTerm, known: Mapping[str, tuple[NDArray[np.intp], NDArray[np.object_]]]
 ) -> tuple[tuple[str, ...], NDArray[np.intp]]:
     """Name the observed combinations of a bracket's columns, in their order, and number every row's."""
@@ -370,7 +374,8 @@ def _check_factor(factor: Factor) -> None:
             f"data must have two or more levels of {factor.name}, got one; leave out its brackets"
         )
     names = [name for term in factor.terms for name in term.names]
-    if twice := next((name for name in names if names.count(name) > 1), None):
+    if len(set(names)) < len(names):
+        twice = max(names, key=names.count)
         raise ValueError(
             f"formula must have each effect once per group, got {twice!r} twice over {factor.name}"
         )
@@ -386,25 +391,23 @@ def _check_factor(factor: Factor) -> None:
 
 def _check_fixed(design: MixedDesign) -> None:
     n_rows, n_fixed = design.fixed.shape
-    if not n_fixed:
+    if not 0 < n_fixed < n_rows:
         raise ValueError(
-            "formula must have a fixed effect, an intercept (1) or a slope at least, got none"
-        )
-    if n_rows <= n_fixed:
-        raise ValueError(
-            f"data must have more rows than effects, got {n_rows} rows for {n_fixed} fixed effects"
+            f"formula must have a fixed effect, an intercept (1) or a slope at least, and data more rows than effects, "
+            f"got {n_rows} rows for {n_fixed} fixed effects"
         )
     lengths = np.linalg.norm(design.fixed, axis=0)
     scaled = design.fixed / np.where(lengths > 0, lengths, 1)
-    dependent = np.abs(np.diag(np.linalg.qr(scaled, mode="r"))) < DEPENDENT
+    basis, triangle = np.linalg.qr(scaled)
+    dependent = np.abs(np.diag(triangle)) < DEPENDENT
     if dependent.any():
         raise ValueError(
             f"data must tell the fixed effects apart, got {design.names[int(dependent.argmax())]!r}, which is a sum "
             "of those before it (or constant); leave it out of the formula"
         )
-    predicted = design.fixed @ np.linalg.lstsq(design.fixed, design.response, rcond=None)[0]
+    left = design.response - basis @ (basis.T @ design.response)
     size = np.linalg.norm(design.response)
-    if size == 0 or np.linalg.norm(design.response - predicted) <= FLAT * size:
+    if size == 0 or np.linalg.norm(left) <= FLAT * size:
         raise ValueError(
             "data must have a response with scatter, got one that is constant, or that the fixed effects give exactly"
         )

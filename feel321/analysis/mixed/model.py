@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design, read_new_rows
-from feel321.records import Result
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -19,11 +19,8 @@ if TYPE_CHECKING:
 
     from feel321.types import Samples
 
-STEP = 1e-4
-"""Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
-
-FLAT = 1e-8
-"""Curvature below this carries no information: a spread at its boundary."""
+NEAR = 1e-6
+"""A step of a spread after which second derivatives are computed anew, for the sake of the degrees of freedom."""
 
 BOUND = 1 - 1e-6
 """A correlation beyond this is one of ±1 but for rounding."""
@@ -31,8 +28,8 @@ BOUND = 1 - 1e-6
 CONFIDENCE = 0.95
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Uncertainty(Result):
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
     """What the variance of any combination of fixed effects follows from.
 
     covariance: (n_fixed, n_fixed); slopes: (n_theta + 1, n_fixed, n_fixed); parameters: (n_theta +
@@ -45,71 +42,29 @@ class Uncertainty(Result):
     most_df: float = np.inf
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Estimate(Result):
-    """A number with its t test against 0.
-
-    Parameters
-    ----------
-    estimate, se : float
-        The value and its standard error.
-    df : float
-        Satterthwaite's degrees of freedom.
-    t, p : float
-        estimate / se, and its two-sided probability.
-    low, high : float
-        95 % interval, estimate ± t(.975, df) se.
-    """
-
-    estimate: float
-    se: float
-    df: float
-    t: float
-    p: float
-    low: float
-    high: float
-
-
 def find_uncertainty(
     profile: optimum.Profile, best: optimum.State, *, most_df: float = np.inf
-) -> Uncertainty:
+) -> tuple[optimum.State, Uncertainty]:
     """Compute how the fixed effects' covariance depends on the spreads, and how well those are known.
 
-    Notes
-    -----
-    With f(theta, log s) the deviance before s is profiled out, the spreads' covariance is 2 H⁻¹, H the matrix of
-    second derivatives, none of which depends on units; directions in which H is not positive carry no information
-    and are left out, as lmerTest does. Derivatives along theta are central differences of the exact slope. A penalty
-    of -2 log theta adds 2 / theta².
+    The spreads' covariance is 2 H⁻¹, H the second derivatives of the deviance before s is profiled out; directions in
+    which H is not positive carry no information and are left out, as lmerTest does. Newton's last step comes first.
     """
-    sigma, size = optimum.find_sigma(profile, best), len(best.theta)
-    unit = np.maximum(np.abs(best.theta), 1)
-    covariance = optimum.find_coefficients(profile, best)[1] * sigma**2
-    hessian = np.zeros((size + 1, size + 1))
-    slopes = np.empty((size + 1, *covariance.shape))
-    for place, shift in enumerate(np.diag(STEP * unit)):
-        ends = [profile.evaluate(best.theta + sign * shift) for sign in (1, -1)]
-        rise = np.subtract(*(profile.find_slope(end, end.rss / sigma**2) for end in ends))
-        hessian[place, :size] = rise * unit / (2 * STEP)
-        more = -(ends[0].rss - ends[1].rss) / STEP / sigma**2
-        hessian[place, size] = hessian[size, place] = more
-        wider = np.subtract(*(optimum.find_coefficients(profile, end)[1] for end in ends))
-        slopes[place] = wider * sigma**2 / (2 * STEP)
-    held = np.flatnonzero(profile.penalised)
-    hessian[held, held] += 2 * (unit[held] / best.theta[held]) ** 2
-    hessian[size, size] = 4 * profile.weight
-    slopes[size] = 2 * covariance
-    return Uncertainty(covariance, slopes, 2 * _invert((hessian + hessian.T) / 2), most_df)
-
-
-def _invert(hessian: Samples) -> Samples:
+    hessian, slopes = profile.differentiate(best)
+    polished = optimum.polish(profile, best, hessian)
+    if np.abs(polished.theta - best.theta).max() > NEAR:
+        hessian, slopes = profile.differentiate(polished)
+    best = polished
+    covariance = (
+        optimum.find_coefficients(profile, best)[1] * optimum.find_sigma(profile, best) ** 2
+    )
     values, vectors = np.linalg.eigh(hessian)
-    kept = values > FLAT
-    inverse: Samples = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    return inverse
+    kept = values > optimum.FLAT
+    parameters = 2 * (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    return best, Uncertainty(covariance, slopes, parameters, most_df)
 
 
-def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -> Estimate:
+def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -> Statistic:
     """Estimate a weighted sum of fixed effects; effects and weights: (n_fixed,).
 
     Notes
@@ -126,95 +81,15 @@ def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -
     value, se = float(weights @ effects), float(np.sqrt(variance))
     margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
     p = float(2 * student.sf(abs(value / se), df))
-    return Estimate(value, se, df, value / se, p, value - margin, value + margin)
+    return Statistic(
+        "Estimate", estimate=value, se=se, df=df, t=value / se, p=p, low=value - margin, high=value + margin
+    )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class MixedFit(Result):
-    """A linear mixed model, fitted.
+class MixedFit(Statistic):
+    """A linear mixed model, fitted, as `fit_mixed` returns it."""
 
-    Parameters
-    ----------
-    formula : str
-        As it was given.
-    reml : bool
-        Whether the likelihood was the restricted one.
-    fixed : DataFrame
-        Fixed effects, indexed by ``term``: estimate, se, df (Satterthwaite), t, p, low and high (95 %).
-    variances : DataFrame
-        Spreads of the random effects: group, term, sd. The residual is apart.
-    correlations : DataFrame
-        Correlations within ``(1 + x | group)``: group, first, second, correlation; NaN where a spread is 0.
-    residual_sd : float
-        Standard deviation of the residual.
-    criterion : float
-        -2 log restricted likelihood at its maximum (lme4's REML criterion), or -2 log likelihood; without the penalty,
-        where there is one.
-    singular : bool
-        Whether a spread is estimated as zero, or effects as perfectly tied to each other.
-    marginal_r2, conditional_r2 : float
-        Share of the variance that the fixed effects explain, and that fixed and random effects explain.
-    effects : DataFrame
-        Predicted random effects (BLUPs): group, level, term, value.
-    fitted, residuals : ndarray, shape (n_rows,)
-        Prediction with the random effects, and the response minus it.
-    uncertainty : Uncertainty
-        What `contrast` works from: the variances of all combinations of fixed effects.
-    n_rows : int
-        Number of observations.
-    n_levels : Mapping of str to int
-        Number of levels of every grouping factor.
-    notes : tuple of str
-        What is unusual about the fit, one sentence each.
-    coding : object
-        How `predict` codes columns of words, as formulaic keeps it; None where all are numbers.
-    """
-
-    formula: str
-    reml: bool
-    fixed: DataFrame
-    variances: DataFrame
-    correlations: DataFrame
-    residual_sd: float
-    criterion: float
-    singular: bool
-    marginal_r2: float
-    conditional_r2: float
-    effects: DataFrame
-    fitted: Samples
-    residuals: Samples
-    uncertainty: Uncertainty
-    n_rows: int
-    n_levels: Mapping[str, int]
-    notes: tuple[str, ...] = ()
-    coding: object = None
-
-    def to_frame(self) -> DataFrame:
-        """Return the fixed effects.
-
-        Returns
-        -------
-        DataFrame
-            A row per term: term, estimate, se, df, t, p, low, high.
-        """
-        return self.fixed.reset_index()
-
-    def summary(self) -> str:
-        """Write the fit as lme4 does.
-
-        Returns
-        -------
-        str
-            Formula, spreads, fixed effects and notes.
-        """
-        sizes = ", ".join(f"{name} {count}" for name, count in self.n_levels.items())
-        residual = {"group": "residual", "term": "", "sd": self.residual_sd}
-        spreads = [*self.variances.to_dict("records"), dict[Any, Any](residual)]
-        return "\n".join([
-            self.formula, f"{self.n_rows} rows; levels: {sizes}", "",
-            *(f"{row['group']:24} {row['term']:20} {row['sd']:.4g}" for row in spreads), "",
-            self.fixed.to_string(float_format="{:.4g}".format), *self.notes,
-        ])  # fmt: skip
+    __slots__ = ()
 
     def predict(self, data: DataFrame) -> Samples:
         """Predict new rows for people and stimuli in general, that is without random effects.
@@ -257,7 +132,12 @@ def fit_mixed(
     Returns
     -------
     MixedFit
-        Fixed effects with Satterthwaite's t tests, spreads, predictions.
+        ``fixed``, indexed by ``term``: estimate, se, df (Satterthwaite), t, p, low and high (95 %); ``variances``, the
+        random effects' spreads: group, term, sd; ``correlations`` within ``(1 + x | group)``; ``residual_sd``;
+        ``criterion``, -2 log (restricted) likelihood at its maximum, without the penalty; ``singular``, whether a
+        spread is zero or effects are perfectly tied; ``marginal_r2 conditional_r2``; ``effects``, the predicted random
+        effects: group, level, term, value; ``fitted residuals``, (n_rows,), with the random effects; ``formula reml
+        n_rows n_levels notes``; ``predict(data)``.
 
     Raises
     ------
@@ -286,12 +166,9 @@ def fit_mixed(
 
     References
     ----------
-    Bates, Mächler, Bolker & Walker (2015), Fitting linear mixed-effects models using lme4, Journal of
-    Statistical Software 67(1), doi 10.18637/jss.v067.i01. Kuznetsova et al. (2017), doi
-    10.18637/jss.v082.i13. Chung, Rabe-Hesketh, Dorie, Gelman & Liu (2013), A nondegenerate penalized likelihood
-    estimator for variance parameters in multilevel models, Psychometrika 78, 685-709, doi
-    10.1007/s11336-013-9328-2. Nakagawa & Schielzeth (2013), doi 10.1111/j.2041-210x.2012.00261.x; Johnson (2014),
-    doi 10.1111/2041-210X.12225.
+    Bates, Mächler, Bolker & Walker (2015), doi 10.18637/jss.v067.i01; Kuznetsova et al. (2017), doi
+    10.18637/jss.v082.i13; Chung, Rabe-Hesketh, Dorie, Gelman & Liu (2013), doi 10.1007/s11336-013-9328-2; Nakagawa &
+    Schielzeth (2013), doi 10.1111/j.2041-210x.2012.00261.x; Johnson (2014), doi 10.1111/2041-210X.12225.
 
     Examples
     --------
@@ -325,7 +202,7 @@ class Solved(NamedTuple):
     coefficients: Samples
     uncertainty: Uncertainty
 
-    def estimate(self, weights: Mapping[str, float]) -> Estimate:
+    def estimate(self, weights: Mapping[str, float]) -> Statistic:
         """Estimate a weighted sum of fixed effects, by name; all others count 0."""
         values = np.array([weights.get(name, 0.0) for name in self.profile.design.names])
         return estimate_sum(self.coefficients, values, self.uncertainty)
@@ -344,8 +221,9 @@ def solve_design(
     with optimum.hold_threads(profile.n_random):
         alike = start is not None and _list_terms(start.profile) == _list_terms(profile)
         best = optimum.find_optimum(profile, start=start.best.theta if start and alike else None)
+        best, uncertainty = find_uncertainty(profile, best, most_df=most_df)
         coefficients, _ = optimum.find_coefficients(profile, best)
-        return Solved(profile, best, coefficients, find_uncertainty(profile, best, most_df=most_df))
+        return Solved(profile, best, coefficients, uncertainty)
 
 
 def _list_terms(profile: optimum.Profile) -> list[tuple[str, tuple[str, ...]]]:
@@ -357,7 +235,7 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     import pandas as pd
 
     profile, best, design = solved.profile, solved.best, solved.profile.design
-    rows = [asdict(solved.estimate({name: 1.0})) for name in design.names]
+    rows = [solved.estimate({name: 1.0}) for name in design.names]
     variances, correlations = _tabulate_spreads(profile, best)
     predicted = design.fixed @ solved.coefficients
     fitted, effects = _predict(profile, best, predicted)
@@ -375,8 +253,9 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
         random / profile.n_rows * residual_sd**2,
         residual_sd**2,
     ]
+    fixed = pd.DataFrame(rows, index=pd.Index(design.names, name="term"))
     return MixedFit(
-        formula=formula, reml=profile.reml, fixed=pd.DataFrame(rows, index=pd.Index(design.names, name="term")),
+        "MixedFit", formula=formula, reml=profile.reml, fixed=fixed,
         variances=variances, correlations=correlations, residual_sd=residual_sd, criterion=profile.deviance(best),
         singular=bool(notes), marginal_r2=parts[0] / sum(parts), conditional_r2=sum(parts[:2]) / sum(parts),
         effects=effects, fitted=fitted, residuals=design.response - fitted, uncertainty=solved.uncertainty,
@@ -385,7 +264,7 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     )  # fmt: skip
 
 
-def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Estimate:
+def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Statistic:
     """Estimate a weighted sum of fixed effects, such as the difference of two slopes.
 
     Parameters
@@ -398,8 +277,9 @@ def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Estimate:
 
     Returns
     -------
-    Estimate
-        Value, standard error, Satterthwaite's df, t, p and the 95 % interval.
+    Statistic
+        ``estimate se df t p``, the value with its t test against 0 on Satterthwaite's degrees of freedom, and ``low
+        high``, the 95 % interval.
 
     Raises
     ------
@@ -423,15 +303,12 @@ def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Estimate:
     (1.5, 0.35, 6.0)
     """
     terms = list(fit.fixed.index)
-    wanted = _read_weights(weights) if isinstance(weights, str) else weights
-    if strangers := [name for name in wanted if name not in terms]:
-        raise ValueError(
-            f"weights must name terms of the model ({', '.join(terms)}), got {strangers[0]!r}"
-        )
+    wanted = dict(_read_weights(weights) if isinstance(weights, str) else weights)
     values = np.array([float(wanted.get(name, 0)) for name in terms])
-    if not np.isfinite(values).all() or not values.any():
+    if not set(wanted) <= set(terms) or not np.isfinite(values).all() or not values.any():
         raise ValueError(
-            f"weights must be finite numbers, one of them other than 0; got {dict(wanted)}"
+            f"weights must be finite numbers of terms of the model ({', '.join(terms)}), one of them other than 0, got "
+            f"{wanted}"
         )
     return estimate_sum(fit.fixed["estimate"].to_numpy(), values, fit.uncertainty)
 
@@ -491,7 +368,7 @@ def _predict(
     import pandas as pd
 
     tables = []
-    for block, values in zip(profile.blocks, optimum.find_modes(profile, best), strict=True):
+    for block, values in zip(profile.blocks, optimum.find_modes(profile, best.theta), strict=True):
         factor = block.factor
         fitted = fitted + np.sum(factor.columns * values[factor.index], axis=1)
         names = [name for term in factor.terms for name in term.names]

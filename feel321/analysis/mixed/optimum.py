@@ -7,26 +7,31 @@ what is left to minimise is a function of theta alone (Bates et al. 2015, doi 10
 Rows enter as cross products only. One factor, the unit, and all factors nested in it (a person, and what is that
 person's own) fall into one block per unit, and these are eliminated at once; what remains is small and dense, with X
 and y as its last rows, so that one Cholesky factor holds the determinants, the coefficients and the residual. Units
-whose rows are alike, as all people's are in a balanced study, share a block: only the sums of their y differ.
+whose rows are alike share a block: only the sums of their y differ.
+
+In a balanced study all units have the same rows. Their mean, and what deviates from it, are then independent: n - 1
+times the unit's own block for what deviates, and a model of the mean rows. There a factor with a level for every row
+(stimuli) is more of the residual, `ratio` times s², and takes no columns.
 
 Columns are scaled first: Z's to unit mean square, X to orthonormal columns, y to what X leaves over. The
 deviance is that of the data as given; results are scaled back.
-
-The limit of a linear algebra library's threads holds for the whole process. Of fits that run at the same time in
-several threads one sets it and restores it, the others leave it alone.
 """
 
-from collections.abc import Iterator, Sequence
+from __future__ import annotations
+
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.analysis.mixed.design import Factor, MixedDesign
-from feel321.types import Samples
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from feel321.analysis.mixed.design import Factor, MixedDesign
+    from feel321.types import Samples
 
 Codes = NDArray[np.intp]
 
@@ -37,7 +42,7 @@ LARGE = 600
 """Rows of a dense matrix from which two threads are worth their while; on smaller ones they wait for each other."""
 
 HELD = Lock()
-"""Taken by whoever set the limit; the process has one limit, and so has this module."""
+"""Taken by whoever set the limit of threads, which holds for the whole process; others leave it alone."""
 
 ZERO = 1e-4
 """A relative spread below this is none: what lme4 calls singular."""
@@ -49,6 +54,15 @@ PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
 
 NEAR = 0.1
 """Least spread that a search starts from: at 0 it would rest."""
+
+STEP = 1e-4
+"""Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
+
+FLAT = 1e-8
+"""Curvature below this carries no information: a spread at its boundary."""
+
+POLISH = 1e-3
+"""Longest step, in units of a spread, that Newton's method may take from where the search stopped."""
 
 
 @dataclass(frozen=True)
@@ -119,6 +133,12 @@ class Spread:
         half = self.times(matrix, theta, turned=turned)
         return self.times(half.swapaxes(-1, -2), theta, turned=turned)
 
+    def differentiate(self, matrix: Samples, adjoint: Samples, n_theta: int) -> Samples:
+        """Sum what each parameter moves: half the derivative of tr(adjoint L' M L), with M L as matrix."""
+        along = np.einsum("ij,ij->i", matrix[self.rows], adjoint[self.columns])
+        found: Samples = np.bincount(self.places, along, n_theta).astype(np.float64, copy=False)
+        return found
+
     def _find_scales(self, theta: Samples) -> Samples:
         scales = np.ones(self.size)
         scales[self.own] = theta[self.scales]
@@ -140,10 +160,12 @@ class State:
 
 
 class Profile:
-    """The deviance as a function of theta, for one design."""
+    """The deviance as a function of theta, for one design; whole: with a place for every random effect."""
 
-    def __init__(self, design: MixedDesign, *, reml: bool, penalty: Sequence[str] = ()) -> None:
-        self.design, self.reml = design, reml
+    def __init__(
+        self, design: MixedDesign, *, reml: bool, penalty: Sequence[str] = (), whole: bool = False
+    ) -> None:
+        self.design, self.reml, self.penalty = design, reml, tuple(penalty)
         self.n_rows, self.n_fixed = design.fixed.shape
         self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
         self.blocks = tuple(place_factors(design.factors))
@@ -151,65 +173,105 @@ class Profile:
         self.penalised = _find_penalised(self.blocks, penalty)
         # Every spread whose logarithm is penalised takes one residual's along, for spreads are in units of it.
         self.weight = self.freedom - int(self.penalised.sum())
-        self._place_columns()
-        self._reduce_rows()
-
-    def _place_columns(self) -> None:
-        """Give every level its first column: unit by unit for what is a unit's own, then what units share."""
-        self.unit_factor, self.nested = _choose_unit(self.design.factors)
+        self.unit_factor, self.nested = _choose_unit(design.factors)
+        self.n_units = len(self.unit_factor.levels)
         own = [one for one in self.blocks if one.factor.name in self.nested]
         shared = [one for one in self.blocks if one.factor.name not in self.nested]
         counts = [int(self.nested[one.factor.name].place.max()) + 1 for one in own]
+        self.own = Spread(own, counts)
+        kinds, order = _find_kinds(design, self.unit_factor, self.nested)
+        self.each: Block | None = None
+        self.scatter, self.n_each = 0.0, self.n_rows // self.n_units
+        if not whole and self.n_units > 1 and not any(kinds):
+            first = order[: self.n_each]
+            found = (one for one in shared if _has_level_for_each(one.factor, first))
+            self.each = next(found, None) if self.n_each > self.own.size else None
+        if self.each is not None:
+            shared = [one for one in shared if one is not self.each]
+            levels = [len(one.factor.levels) for one in shared]
+            self.shared = Spread([*own, *shared], [*counts, *levels], extra=self.n_fixed + 1)
+            self._reduce_balanced(order.reshape(self.n_units, -1), own, shared)
+            return
         levels = [len(one.factor.levels) for one in shared]
-        self.own, self.shared = Spread(own, counts), Spread(shared, levels, extra=self.n_fixed + 1)
-        self.n_random, self.n_units = self.shared.n_effects, len(self.unit_factor.levels)
-        if self.n_random > MOST_LEVELS:
+        self.shared = Spread(shared, levels, extra=self.n_fixed + 1)
+        if self.shared.n_effects > MOST_LEVELS:
             raise ValueError(
                 f"data must have at most {MOST_LEVELS} effects beside those of {self.unit_factor.name}, for memory, "
-                f"got {self.n_random}; average repeated rows, or leave out a group with many levels"
+                f"got {self.shared.n_effects}; average repeated rows, or leave out a group with many levels"
             )
-        tail = self.n_units * self.own.size
-        self.places = {name: tail + first for name, first in self.shared.first.items()}
-        for name, first in self.own.first.items():
-            unit, place = self.nested[name]
-            self.places[name] = unit * self.own.size + first[place]
+        self._reduce_rows(np.array(kinds))
+
+    @property
+    def n_random(self) -> int:
+        """Effects in the dense matrix."""
+        return self.shared.n_effects
+
+    def ratio(self, theta: Samples) -> float:
+        """Variance of a mean row beside that of the residual, in a balanced study."""
+        return 1 + self.n_units * float(theta[self.each.theta][0]) ** 2 if self.each else 1.0
 
     def list_columns(self, block: Block) -> Codes:
-        """List the columns of every level of a factor, (n_levels, width)."""
-        columns: Codes = self.places[block.factor.name][:, None] + np.arange(len(block.scale))
+        """List the columns of every level of a factor, (n_levels, width), those of the units first."""
+        name = block.factor.name
+        if where := self.nested.get(name):
+            first = where.unit * self.own.size + self.own.first[name][where.place]
+        else:
+            first = self.n_units * self.own.size + self.shared.first[name]
+        columns: Codes = first[:, None] + np.arange(len(block.scale))
         return columns
 
-    def _reduce_rows(self) -> None:
+    def _scale_fixed(self, fixed: Samples, response: Samples, scatter: float) -> list[Samples]:
+        """Keep the scale of X and y, of which scatter is apart; return the columns X and y, (n, n_fixed + 1)."""
+        basis, self.triangle_x = np.linalg.qr(fixed)
+        self.log_x = float(2 * np.log(np.abs(np.diag(self.triangle_x))).sum())
+        self.offset = basis.T @ response
+        rest = response - basis @ self.offset
+        self.unit = float(np.sqrt((rest @ rest + scatter) / self.n_rows))
+        self.scatter = scatter / self.unit**2
+        return [basis, rest[:, None] / self.unit]
+
+    def _reduce_balanced(self, order: Codes, own: list[Block], shared: list[Block]) -> None:
+        """Keep the cross products of the mean over units, and of what deviates from it."""
+        first, root = order[0], np.sqrt(self.n_units)
+        values = self.design.response[order]
+        deviation = values - values.mean(axis=0)
+        ends = self._scale_fixed(
+            root * self.design.fixed[first], root * values.mean(axis=0), float((deviation**2).sum())
+        )
+        columns = np.zeros((self.n_each, self.n_random))
+        for block in (*own, *shared):
+            name = block.factor.name
+            level = block.factor.index[first]
+            level = self.nested[name].place[level] if name in self.nested else level
+            factor = 1.0 if name in self.nested else root
+            at = self.shared.first[name][level][:, None] + np.arange(len(block.scale))
+            scaled = factor * block.factor.columns[first] / block.scale
+            np.put_along_axis(columns, at, scaled, axis=1)
+        dense = np.hstack([columns, *ends])
+        self.outer = dense.T @ dense
+        size = self.own.size
+        seen = deviation @ columns[:, :size] / self.unit
+        self.inner, self.squares = self.outer[None, :size, :size], (seen.T @ seen)[None]
+        self.counts = np.array([self.n_units - 1.0])
+
+    def _reduce_rows(self, kinds: Codes) -> None:
         """Keep only the cross products, of units that are alike once."""
         from scipy.sparse import csr_array
 
-        basis, self.triangle_x = np.linalg.qr(self.design.fixed)
-        self.log_x = float(2 * np.log(np.abs(np.diag(self.triangle_x))).sum())
-        self.offset = basis.T @ self.design.response
-        rest = self.design.response - basis @ self.offset
-        self.unit = float(np.linalg.norm(rest) / np.sqrt(self.n_rows))
-        width = self.n_units * self.own.size + self.shared.size
+        size, tail = self.own.size, self.n_units * self.own.size
+        width = tail + self.shared.size
+        ends = self._scale_fixed(self.design.fixed, self.design.response, 0.0)
         last = np.broadcast_to(
             np.arange(width - self.n_fixed - 1, width), (self.n_rows, self.n_fixed + 1)
         )
         columns = [self.list_columns(block)[block.factor.index] for block in self.blocks]
         values = [block.factor.columns / block.scale for block in self.blocks]
-        entries = np.hstack([*values, basis, rest[:, None] / self.unit])
+        entries = np.hstack([*values, *ends])
         starts = np.arange(self.n_rows + 1) * entries.shape[1]
-        whole = csr_array(
-            (entries.ravel(), np.hstack([*columns, last]).ravel(), starts),
-            shape=(self.n_rows, width),
-        )
-        self._split_products((whole.T @ whole).tocsr())
-
-    def _split_products(self, products: Any) -> None:  # noqa: ANN401 - a sparse matrix
-        """Divide the cross products into those of units, of units with what they share, and of the latter."""
-        size, tail = self.own.size, self.n_units * self.own.size
-        _, index, self.kind = np.unique(
-            _find_kinds(self.design, self.unit_factor, self.nested),
-            return_index=True,
-            return_inverse=True,
-        )
+        places = np.hstack([*columns, last]).ravel()
+        rows = csr_array((entries.ravel(), places, starts), shape=(self.n_rows, width))
+        products = (rows.T @ rows).tocsr()
+        _, index, self.kind = np.unique(kinds, return_index=True, return_inverse=True)
         self.counts = np.bincount(self.kind).astype(np.float64)
         blocks = products[:tail, :tail].tocoo()
         inner = np.zeros((self.n_units, size, size))
@@ -217,7 +279,6 @@ class Profile:
         border = products[:tail, tail:].toarray().reshape(self.n_units, size, -1)
         self.inner, self.border, self.seen = inner[index], border[index, :, :-1], border[:, :, -1]
         alike = [self.seen[self.kind == number] for number in range(len(index))]
-        self.weighted = (self.counts[:, None, None] * self.border).reshape(-1, self.shared.size - 1)
         self.sums = np.stack([one.sum(axis=0) for one in alike])
         self.squares = np.stack([one.T @ one for one in alike])
         self.outer = products[tail:, tail:].toarray()
@@ -230,13 +291,16 @@ class Profile:
         roots = np.linalg.cholesky(blocks).diagonal(axis1=1, axis2=2)
         inner = np.linalg.inv(blocks).astype(np.float64, copy=False)
         kept = self.own.around(inner, theta, turned=True)
-        through = (kept @ self.border).reshape(-1, self.shared.size - 1)
-        left = self.outer.copy()
-        left[:-1, :-1] -= self.weighted.T @ through
-        cross = self.sums.ravel() @ through
-        left[-1, :-1] -= cross
-        left[:-1, -1] -= cross
-        left[-1, -1] -= float((kept * self.squares).sum())
+        ratio, width = self.ratio(theta), self.shared.size - 1
+        left = self.outer / ratio
+        if not self.each:
+            through = (kept @ self.border).reshape(-1, width)
+            weighted = (self.counts[:, None, None] * self.border).reshape(-1, width)
+            left[:-1, :-1] -= weighted.T @ through
+            cross = self.sums.ravel() @ through
+            left[-1, :-1] -= cross
+            left[:-1, -1] -= cross
+        left[-1, -1] += self.scatter - float((kept * self.squares).sum())
         scaled = self.shared.around(left, theta)
         diagonal = np.arange(self.n_random)
         scaled[diagonal, diagonal] += 1
@@ -244,7 +308,7 @@ class Profile:
         if failed:
             raise np.linalg.LinAlgError("the residual is lost in rounding")
         logs = 2 * np.log(factor.diagonal())
-        own = 2 * float(self.counts @ np.log(roots).sum(axis=1))
+        own = 2 * float(self.counts @ np.log(roots).sum(axis=1)) + self.n_each * np.log(ratio)
         return State(
             theta=theta, log_random=own + float(logs[: self.n_random].sum()),
             log_fixed=float(logs[self.n_random : -1].sum()) + self.log_x,
@@ -258,6 +322,11 @@ class Profile:
             state.log_random + self.reml * state.log_fixed + self.freedom * spread + self.weight
         )
 
+    def target(self, state: State) -> float:
+        """Add the penalty, -2 log of every spread it names, to the deviance: what is minimised."""
+        spreads = state.theta[self.penalised] ** 2 * state.rss / self.weight
+        return self.deviance(state) - float(np.log(spreads).sum())
+
     def find_slope(self, state: State, weight: float | None = None) -> Samples:
         """Differentiate the deviance with respect to theta, (n_theta,).
 
@@ -266,24 +335,52 @@ class Profile:
         """
         from scipy.linalg.lapack import dtrtri
 
-        theta, rows, columns = state.theta, self.shared.rows, self.shared.columns
+        theta, n_theta = state.theta, len(state.theta)
         size = self.n_random + (self.n_fixed if self.reml else 0)
         half = dtrtri(state.factor, lower=1)[0]
         adjoint = half[:size].T @ half[:size]
         last = half[-1] * np.sqrt(self.weight if weight is None else weight)
         adjoint += last[:, None] * last
-        along = (self.shared.times(state.left, theta)[rows] * adjoint[columns]).sum(axis=1)
-        outside = self.shared.around(adjoint, theta, turned=True)
-        counts = self.counts[:, None, None]
-        mixed = (self.border @ outside[:-1, -1])[:, :, None] * self.sums[:, None, :]
-        seen = counts * (self.border @ outside[:-1, :-1] @ self.border.swapaxes(1, 2))
-        seen += mixed + mixed.swapaxes(1, 2) + outside[-1, -1] * self.squares
+        slope = self.shared.differentiate(self.shared.times(state.left, theta), adjoint, n_theta)
+        counts, seen = self.counts[:, None, None], adjoint[-1, -1] * self.squares
+        if self.each:
+            # Of a mean row's variance: it divides the products, and stands in the determinant once per row.
+            ratio, outside = self.ratio(theta), self.shared.around(adjoint, theta, turned=True)
+            wider = (self.n_each - float((outside * self.outer).sum()) / ratio) / ratio
+            slope[self.each.theta] += wider * self.n_units * theta[self.each.theta]
+        else:
+            outside = self.shared.around(adjoint, theta, turned=True)
+            mixed = (self.border @ outside[:-1, -1])[:, :, None] * self.sums[:, None, :]
+            seen = seen + counts * (self.border @ outside[:-1, :-1] @ self.border.swapaxes(1, 2))
+            seen += mixed + mixed.swapaxes(1, 2)
         change = counts * self.inner - seen + self.inner @ state.kept @ seen
         inside = (self.own.times(change, theta) @ state.inner).sum(axis=0)
         inside = inside[self.own.rows, self.own.columns]
-        slope = np.bincount(self.own.places, inside, len(theta))
-        slope = slope + np.bincount(self.shared.places, along, len(theta))
-        return 2 * slope.astype(np.float64, copy=False)
+        return 2 * (slope + np.bincount(self.own.places, inside, n_theta))
+
+    def differentiate(self, state: State) -> tuple[Samples, Samples]:
+        """Differentiate the penalised deviance f(theta, log s) twice, in units of the spreads; and X'V⁻¹X's inverse.
+
+        (n_theta + 1, n_theta + 1) and (n_theta + 1, n_fixed, n_fixed). Derivatives along theta are central differences
+        of the exact slope. A penalty of -2 log theta adds 2 / theta².
+        """
+        sigma, size = find_sigma(self, state), len(state.theta)
+        unit = np.maximum(np.abs(state.theta), 1)
+        hessian = np.zeros((size + 1, size + 1))
+        slopes = np.empty((size + 1, self.n_fixed, self.n_fixed))
+        for place, shift in enumerate(np.diag(STEP * unit)):
+            ends = [self.evaluate(state.theta + sign * shift) for sign in (1, -1)]
+            rise = np.subtract(*(self.find_slope(end, end.rss / sigma**2) for end in ends))
+            hessian[place, :size] = rise * unit / (2 * STEP)
+            more = -(ends[0].rss - ends[1].rss) / STEP / sigma**2
+            hessian[place, size] = hessian[size, place] = more
+            wider = np.subtract(*(find_coefficients(self, end)[1] for end in ends))
+            slopes[place] = wider * sigma**2 / (2 * STEP)
+        held = np.flatnonzero(self.penalised)
+        hessian[held, held] += 2 * (unit[held] / state.theta[held]) ** 2
+        hessian[size, size] = 4 * self.weight
+        slopes[size] = 2 * find_coefficients(self, state)[1] * sigma**2
+        return (hessian + hessian.T) / 2, slopes
 
 
 def _find_penalised(blocks: Sequence[Block], names: Sequence[str]) -> NDArray[np.bool_]:
@@ -337,18 +434,28 @@ def _nest(factor: Factor, unit: Factor) -> Nested | None:
     return Nested(owner, place)
 
 
-def _find_kinds(design: MixedDesign, unit: Factor, nested: dict[str, Nested]) -> list[int]:
-    """Give one number to units with the same rows, but for y and for the names of what is their own."""
+def _find_kinds(
+    design: MixedDesign, unit: Factor, nested: dict[str, Nested]
+) -> tuple[list[int], Codes]:
+    """Give one number to units with the same rows, but for y and for the names of what is their own; order the rows."""
     parts: list[NDArray[Any]] = [design.fixed]
     for factor in design.factors:
         where = nested.get(factor.name)
         index = where.place[factor.index] if where else factor.index
         parts += [factor.columns, index[:, None]]
     rows = np.hstack(parts) + 0.0  # no -0, whose bytes differ
-    rows = rows[np.lexsort([*rows.T, unit.index])]
+    order = np.lexsort([*rows.T, unit.index])
     known: dict[bytes, int] = {}
     bounds = np.cumsum(np.bincount(unit.index))[:-1]
-    return [known.setdefault(part.tobytes(), len(known)) for part in np.split(rows, bounds)]
+    kinds = [known.setdefault(part.tobytes(), len(known)) for part in np.split(rows[order], bounds)]
+    return kinds, order
+
+
+def _has_level_for_each(factor: Factor, rows: Codes) -> bool:
+    """Check that every row of a unit has a level of its own, with the same weight."""
+    levels, columns = factor.index[rows], factor.columns
+    alone = factor.width == 1 and len(np.unique(levels)) == len(rows) == len(factor.levels)
+    return bool(alone and (columns == columns[0]).all())
 
 
 def find_sigma(profile: Profile, state: State) -> float:
@@ -369,12 +476,15 @@ def find_coefficients(profile: Profile, state: State) -> tuple[Samples, Samples]
     return shift + inverse @ last * profile.unit, inverse @ inverse.T
 
 
-def find_modes(profile: Profile, state: State) -> list[Samples]:
+def find_modes(profile: Profile, theta: Samples) -> list[Samples]:
     """Predict the random effects of every factor, (n_levels, width), in the order of the formula."""
     from scipy.linalg import solve_triangular
 
+    if profile.each:  # which has no place for the effects of single units
+        profile = Profile(profile.design, reml=profile.reml, penalty=profile.penalty, whole=True)
+    state = profile.evaluate(theta)
     solved = solve_triangular(state.factor[:-1, :-1], state.factor[-1, :-1], lower=True, trans="T")
-    shared = profile.shared.times(np.append(solved, 0.0), state.theta, turned=True)[:-1]
+    shared = profile.shared.times(np.append(solved, 0.0), theta, turned=True)[:-1]
     left = profile.seen - profile.border[profile.kind] @ shared
     own = np.einsum("uij,uj->ui", state.kept[profile.kind], left)
     effects = np.concatenate([own.ravel(), shared])
@@ -436,7 +546,7 @@ def _descend(profile: Profile, start: Samples) -> State:
         state = profile.evaluate(theta)
         slope = profile.find_slope(state)
         slope[held] -= 2 / theta[held]
-        return _find_target(profile, state), slope
+        return profile.target(state), slope
 
     try:
         found = minimize(
@@ -453,28 +563,43 @@ def _descend(profile: Profile, start: Samples) -> State:
     settled = np.empty_like(found)
     for block in profile.blocks:
         lower = block.triangle(found)
-        lower = lower * np.where(
-            np.diag(lower) < 0, -1.0, 1.0
-        )  # a column turned around changes nothing
+        # A column turned around changes nothing.
+        lower = lower * np.where(np.diag(lower) < 0, -1.0, 1.0)
         settled[block.theta] = lower[block.rows, block.columns]
     settled[profile.diagonal & (settled < ZERO) & ~held] = 0.0
     return profile.evaluate(settled)
 
 
-def _find_target(profile: Profile, state: State) -> float:
-    """Add the penalty, -2 log of every spread it names, to the deviance: what is minimised."""
-    spreads = state.theta[profile.penalised] ** 2 * state.rss / profile.weight
-    return profile.deviance(state) - float(np.log(spreads).sum())
-
-
 def _leave_boundary(profile: Profile, state: State) -> State | None:
     """Find a better minimum where a spread of 0 is above 0, or None."""
-    here = _find_target(profile, state)
+    here = profile.target(state)
     for place in np.flatnonzero(profile.diagonal & (state.theta == 0)):
         probe = state.theta.copy()
         probe[place] = PROBE
-        if _find_target(profile, profile.evaluate(probe)) < here - 1e-9:
+        if profile.target(profile.evaluate(probe)) < here - 1e-9:
             probe[place] = RESTART
             better = _descend(profile, probe)
-            return better if _find_target(profile, better) < here else None
+            return better if profile.target(better) < here else None
     return None
+
+
+def polish(profile: Profile, state: State, hessian: Samples) -> State:
+    """Take Newton's last step from where the search stopped, with second derivatives as `differentiate` returns them.
+
+    The search stops where the deviance no longer falls but for rounding: 1e-5 or so beside the minimum.
+    """
+    unit = np.maximum(np.abs(state.theta), 1)
+    slope = profile.find_slope(state)
+    slope[profile.penalised] -= 2 / state.theta[profile.penalised]
+    # The residual's spread follows the others.
+    curvature = hessian[:-1, :-1] - np.outer(hessian[:-1, -1], hessian[-1, :-1]) / hessian[-1, -1]
+    free = np.flatnonzero(state.theta != 0)
+    values, vectors = np.linalg.eigh(curvature[np.ix_(free, free)])
+    steep = values > FLAT
+    down = vectors[:, steep].T @ (slope * unit)[free] / values[steep]
+    step = np.zeros_like(state.theta)
+    step[free] = -(vectors[:, steep] @ down) * unit[free]
+    if not np.abs(step / unit).max(initial=0.0) < POLISH:
+        return state
+    moved = profile.evaluate(state.theta + step)
+    return moved if profile.target(moved) <= profile.target(state) + FLAT else state

@@ -10,7 +10,6 @@ each time in words; never because a test says that a spread may be zero.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.model import MixedFit, Solved, list_spreads, report_fit, solve_design
+from feel321.analysis.mixed.model import Solved, list_spreads, report_fit, solve_design
 from feel321.analysis.primary import rcode
 from feel321.analysis.primary.plan import (
     ALIKE,
@@ -39,7 +38,7 @@ from feel321.analysis.primary.plan import (
 from feel321.analysis.table.items import Table, choose_arms, choose_metrics, open_ratings
 from feel321.doors import as_path
 from feel321.files import make_folder, write_text
-from feel321.records import Result
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -62,114 +61,10 @@ CENTRED = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED 
 NONE, IN_MODEL = float("nan"), "in_model"
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Primary(Result):
-    """The primary model of one attribute.
+class Primary(Statistic):
+    """The primary model of one attribute, as `fit_primary` returns it."""
 
-    Parameters
-    ----------
-    formula : str
-        The model, in lme4's notation.
-    fit : MixedFit
-        All of it.
-    slopes : DataFrame
-        Slopes within recordings, indexed by ``metric``: ``estimate se df t p low high`` per unit of the metric;
-        ``quartile_effect quartile_low quartile_high`` in points from the lower to the upper quartile of the metric
-        within recordings, over stimuli, which lie ``quartile_span`` apart; ``tenth tenth_low tenth_high`` points per
-        +0.1; ``standardised standardised_low standardised_high`` in standard deviations; ``centred centred_se
-        centred_df centred_p centred_low centred_high`` the slope per unit of the metric centred on recordings and on
-        reducers, whose differences are fixed effects then; ``plain plain_p`` the slope without level in the model, NaN
-        where level is not in it; and ``estimable``. Where that is False, only the estimates themselves are not NaN.
-    between : DataFrame
-        Slopes between recordings, ``estimate`` to ``high``; empty where recordings are too few.
-    differences : DataFrame
-        Every two metrics' slopes compared: first, second, and the columns of `Estimate`; then the same of the
-        standardised slopes, with ``standardised_`` before.
-    marginal_r2, conditional_r2 : float
-        Nakagawa's R²: of the metrics, and of everything in the model.
-    item_variance_explained : float
-        Share of the spread between stimuli of a recording (of stimuli, and of reducers) that the metrics account for:
-        1 - the sum of these variances over that of a model without metrics; negative by chance, NaN where a model
-        without metrics sees no such spread, or was not asked for.
-    averaged : bool
-        Whether repeats were averaged before.
-    n_rows, n_participants, n_recordings, n_items : int
-        Size of the data.
-    n_sources : int
-        What is independent among the recordings: as many, unless several come from one.
-    n_reducers : int
-        Different reducers; 0 where no column names them.
-    reductions : tuple of str
-        What the full model has and this one has not, and why.
-    model_frame : DataFrame
-        What was fitted: participant, recording, item, rating, every metric within (``_w``) and between recordings
-        (``_b``), reducer and source.
-    notes : tuple of str
-        What is unusual, one sentence each; singular fits among it.
-    penalty : tuple of str
-        Factors whose spread gets a penalty that keeps it from being estimated as zero.
-    level : str
-        ``in_model``; ``alike`` within recordings, or not separable; ``metric``: a metric is a level; or ``unknown``.
-    """
-
-    formula: str
-    fit: MixedFit
-    slopes: DataFrame
-    between: DataFrame
-    differences: DataFrame
-    marginal_r2: float
-    conditional_r2: float
-    item_variance_explained: float
-    averaged: bool
-    n_rows: int
-    n_participants: int
-    n_recordings: int
-    n_items: int
-    n_sources: int
-    n_reducers: int
-    reductions: tuple[str, ...]
-    model_frame: DataFrame
-    notes: tuple[str, ...]
-    penalty: tuple[str, ...] = ()
-    level: str = "unknown"
-
-    def to_frame(self) -> DataFrame:
-        """Return the slopes.
-
-        Returns
-        -------
-        DataFrame
-            A row per metric: metric, and the columns of `slopes`.
-        """
-        return self.slopes.reset_index()
-
-    def summary(self) -> str:
-        """Write the slopes for reading.
-
-        Returns
-        -------
-        str
-            Formula, sizes, slopes per +0.1 of each metric, and notes.
-        """
-        columns = ["tenth", "tenth_low", "tenth_high", "df", "p", "standardised"]
-        size = f"{self.n_participants} participants, {self.n_recordings} recordings, {self.n_items} stimuli"
-        table = self.slopes[columns].to_string(float_format="{:.4g}".format)
-        return "\n".join([self.formula, size, "", table, "", *self.reductions, *self.notes])
-
-    def to_latex(self, columns: Sequence[str] = ("estimate", "se", "df", "t", "p")) -> str:
-        """Write the slopes as a table for a paper.
-
-        Parameters
-        ----------
-        columns : sequence of str
-            Columns of `slopes`.
-
-        Returns
-        -------
-        str
-            A LaTeX ``tabular``.
-        """
-        return self.slopes[list(columns)].to_latex(float_format="{:.3g}".format, escape=True)
+    __slots__ = ()
 
     def to_r(self, folder: PathLike | None = None) -> str:
         """Write R code that fits the same model with lme4 and lmerTest.
@@ -203,29 +98,15 @@ class Primary(Result):
         return text
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Primaries(Result, Mapping[str, Primary]):
-    """The primary models of several attributes.
+class Primaries(Statistic):
+    """The primary models of several attributes: attribute -> its model."""
 
-    Parameters
-    ----------
-    models : Mapping of str to Primary
-        Attribute -> its model; so is the record itself.
-    """
+    __slots__ = ()
 
-    models: Mapping[str, Primary]
-
-    def __getitem__(self, attribute: str) -> Primary:
-        """Look up an attribute's model."""
-        return self.models[attribute]
-
-    def __iter__(self) -> Iterator[str]:
-        """List the attributes."""
-        return iter(self.models)
-
-    def __len__(self) -> int:
-        """Count the attributes."""
-        return len(self.models)
+    @property
+    def models(self) -> dict[str, Primary]:
+        """The models by attribute."""
+        return dict(self)
 
     def to_frame(self) -> DataFrame:
         """Return all slopes, with p adjusted for their number.
@@ -233,7 +114,7 @@ class Primaries(Result, Mapping[str, Primary]):
         Returns
         -------
         DataFrame
-            attribute, metric, the columns of `Primary.slopes`, and p_holm: Holm's step-down adjustment over all
+            attribute, metric, the columns of a Primary's slopes, and p_holm: Holm's step-down adjustment over all
             rows that are estimable, which holds the chance of any false positive among them.
         """
         return tabulate_slopes(self.models)
@@ -293,7 +174,22 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     Returns
     -------
     Primary
-        Slopes, their differences, explained variance, and what was reduced.
+        ``slopes`` within recordings, indexed by ``metric``: ``estimate se df t p low high`` per unit of the metric;
+        ``quartile_effect quartile_low quartile_high`` in points from the lower to the upper quartile of the metric
+        within recordings, over stimuli, which lie ``quartile_span`` apart; ``tenth tenth_low tenth_high`` points per
+        +0.1; ``standardised standardised_low standardised_high`` in standard deviations; ``centred centred_se
+        centred_df centred_p centred_low centred_high``, the slope per unit of the metric centred on recordings and on
+        reducers, whose differences are fixed effects then; ``plain plain_p`` the slope without level in the model, NaN
+        where level is not in it; and ``estimable``. Where that is False, only the estimates themselves are not NaN.
+        ``between``: slopes between recordings, empty where these are too few. ``differences``: every two metrics'
+        slopes compared, and with ``standardised_`` before, the standardised ones. ``formula fit``: the model, all of
+        it; ``marginal_r2 conditional_r2``, of the metrics and of everything; ``item_variance_explained``, the share of
+        the spread between stimuli of a recording that the metrics account for: 1 - the sum of these variances over that
+        of a model without metrics. ``averaged``: whether repeats were; ``n_rows n_participants n_recordings n_items
+        n_sources n_reducers``; ``model_frame``: what was fitted, every metric within (``_w``) and between recordings
+        (``_b``); ``penalty``: factors whose spread gets one; ``level``: ``in_model``, ``alike`` within recordings or
+        not separable, ``metric``, or ``unknown``; ``reductions``: what the full model has and this one has not, and
+        why; ``notes``.
 
     Raises
     ------
@@ -306,10 +202,9 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     For metrics a and b:
     ``rating ~ a_w + b_w + a_b + b_b + (1 + a_w + b_w || participant) + (1 + a_w + b_w || recording) +
     (1 | item) + (1 | participant:recording) + (1 | reducer) + (1 | participant:reducer)``, on means over repeats; on
-    rows, plus ``(1 | participant:item)``, where repeats are unequal; where single ratings have more levels than can be
-    fitted, on means all the same, as `reductions` then says. ``_w`` is the metric minus its recording's mean, ``_b``
-    that mean. Restricted maximum likelihood, Satterthwaite's degrees of freedom, at most twice as many as recordings
-    less two.
+    rows, plus ``(1 | participant:item)``, where repeats are unequal, unless single ratings have too many levels. ``_w``
+    is the metric minus its recording's mean, ``_b`` that mean. Restricted maximum likelihood, Satterthwaite's degrees
+    of freedom, at most twice as many as recordings less two.
 
     Recordings differ in their slopes as people do: without that term, every stimulus of a recording whose slope is
     steep by chance counts as evidence of its own. Reducers are a random factor as stimuli are: metrics differ
@@ -323,10 +218,7 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
 
     Where several recordings come from one source, slopes differ between sources: ``(1 | recording) + (1 + a_w + b_w ||
     source) + (1 | source:reducer)``. Turned copies of a recording, reduced alike, have nearly the same metrics and are
-    felt nearly alike, for reasons that no metric knows: without the last term each copy would count as evidence of its
-    own. A slope within recordings knows of no more, because what a source as a whole shares, for everyone or for one
-    person, is the same for all stimuli of a recording; and what one person feels alike in all copies is, in means over
-    people, part of what all do.
+    felt nearly alike: without the last term each copy would count as evidence of its own.
 
     Below 3 participants, 3 recordings (or sources of them) or 2 degrees of freedom a slope is not estimable: nothing
     then says how people, recordings or reducers differ.
@@ -362,21 +254,25 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     fit = report_fit(terms.formula, found.solved)
     explained, why = _explain_items(found) if explain else (NONE, [])
     centred, why_not = _centre_slopes(found, wanted=explain)
-    level = _name_level(found)
+    known = "alike" if LEVEL in cells.items else "unknown"
+    level = "metric" if set(LEVELS) & {*names} else IN_MODEL if LEVEL in terms.fixed else known
     plain = found.table[[]].assign(plain=NONE, plain_p=NONE)
     if explain and level == IN_MODEL:
         bare = fit_slopes(cells.ignore_level(), correlated=correlated, reducers=reducers).table
         plain = bare[["estimate", "p"]].set_axis(["plain", "plain_p"], axis=1)
+    between = [name for name in terms.fixed if name[-2:] == "_b"]
+    rows_between = [_blank(found.solved.estimate({name: 1.0}), lack=lack) for name in between]
+    index = pd.Index([name[:-2] for name in between], name="metric", dtype=object)
     return Primary(
-        formula=terms.formula, fit=fit, slopes=found.table.join([centred, plain]), between=_tabulate_between(found),
-        differences=_tabulate_differences(found), marginal_r2=fit.marginal_r2, conditional_r2=fit.conditional_r2,
-        item_variance_explained=explained, averaged=cells.averaged, n_rows=fit.n_rows, n_participants=cells.count(WHO),
-        n_recordings=cells.count(SCENE), n_items=cells.count(ITEM), n_sources=cells.n_sources,
-        n_reducers=cells.count(REDUCER) if REDUCER in cells.table else 0, reductions=terms.reductions,
-        model_frame=cells.table,
+        "Primary", slopes=found.table.join([centred, plain]),
+        between=pd.DataFrame(rows_between, index=index, columns=["estimate", *TESTED]),
+        differences=_tabulate_differences(found), formula=terms.formula, fit=fit, marginal_r2=fit.marginal_r2,
+        conditional_r2=fit.conditional_r2, item_variance_explained=explained, averaged=cells.averaged,
+        n_rows=fit.n_rows, n_participants=cells.count(WHO), n_recordings=cells.count(SCENE), n_items=cells.count(ITEM),
+        n_sources=cells.n_sources, n_reducers=cells.count(REDUCER) if REDUCER in cells.table else 0,
+        reductions=terms.reductions, model_frame=cells.table,
         notes=(
-            *cells.notes, *fit.notes, *why, *why_not, *_warn_few(cells), *_note_limit(found),
-            *_note_lacks(found.table, lack),
+            *cells.notes, *fit.notes, *why, *why_not, *_warn_few(cells), *_note_limits(found, lack),
         ),
         penalty=terms.penalty, level=level,
     )  # fmt: skip
@@ -427,15 +323,8 @@ def fit_attributes(
             f"rows must have a column that names the attribute, got no column {columns[0]!r}; name it with attribute="
         )
     groups = rows.groupby(columns, observed=True, sort=True)
-    return Primaries({", ".join(map(str, key)): fit_primary(part, names) for key, part in groups})
-
-
-def _name_level(found: Slopes) -> str:
-    """Name what became of level."""
-    if set(LEVELS) & {*found.cells.metrics}:
-        return "metric"
-    known = "alike" if LEVEL in found.cells.items else "unknown"
-    return IN_MODEL if LEVEL in found.terms.fixed else known
+    models = {", ".join(map(str, key)): fit_primary(part, names) for key, part in groups}
+    return Primaries("Primaries", **models)
 
 
 def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
@@ -447,7 +336,8 @@ def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     table.insert(0, "attribute", table.pop("attribute"))
     plain = np.array(adjust_holm(table["plain_p"].fillna(table["p"]).tolist()))
     plain[table["plain_p"].isna()] = NONE
-    return table.assign(p_holm=adjust_holm(table["p"].tolist()), plain_p_holm=plain)
+    holm: DataFrame = table.assign(p_holm=adjust_holm(table["p"].tolist()), plain_p_holm=plain)
+    return holm
 
 
 def adjust_holm(p: Sequence[float]) -> list[float]:
@@ -474,10 +364,10 @@ def _find_lack(cells: Cells) -> str:
     return f"with {' and '.join(few)}, where {FEWEST} are needed" if few else ""
 
 
-def _blank(row: dict[str, float], *, lack: str) -> dict[str, float]:
+def _blank(estimate: Statistic, *, lack: str) -> dict[str, float]:
     """Take the test and the interval from an estimate that the data cannot carry."""
-    known = not lack and row["df"] >= FEWEST_DF
-    return row if known else row | dict.fromkeys(TESTED, NONE)
+    known = not lack and estimate.df >= FEWEST_DF
+    return dict(estimate) if known else dict(estimate) | dict.fromkeys(TESTED, NONE)
 
 
 def _find_scales(cells: Cells, names: Sequence[str]) -> dict[str, float]:
@@ -492,10 +382,10 @@ def _list_within(terms: Terms) -> list[str]:
 
 def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
     # How far apart the quartiles of each metric within recordings are, each stimulus counted once.
-    items, lack, rows = cells.table.drop_duplicates(ITEM), _find_lack(cells), {}
+    items, lack, rows = cells.rated, _find_lack(cells), {}
     for name, scale in _find_scales(cells, _list_within(terms)).items():
         span = float(np.subtract(*np.percentile(items[f"{name}_w"], [75, 25])))
-        row = _blank(asdict(solved.estimate({f"{name}_w": 1.0})), lack=lack)
+        row = _blank(solved.estimate({f"{name}_w": 1.0}), lack=lack)
         for key, prefix, unit in (
             ("quartile_effect", "quartile", span),
             ("tenth", "tenth", TENTH),
@@ -505,13 +395,6 @@ def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
             row |= {key: row["estimate"] * unit, **ends}
         rows[name] = row | {"quartile_span": span, "estimable": bool(np.isfinite(row["se"]))}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("metric")
-
-
-def _tabulate_between(found: Slopes) -> DataFrame:
-    lack, names = _find_lack(found.cells), [name for name in found.terms.fixed if name[-2:] == "_b"]
-    rows = [_blank(asdict(found.solved.estimate({name: 1.0})), lack=lack) for name in names]
-    index = pd.Index([name[:-2] for name in names], name="metric", dtype=object)
-    return pd.DataFrame(rows, index=index, columns=["estimate", *TESTED])
 
 
 def _tabulate_differences(found: Slopes) -> DataFrame:
@@ -524,7 +407,7 @@ def _tabulate_differences(found: Slopes) -> DataFrame:
             ("standardised_", scales[first], scales[second]),
         ):
             estimate = found.solved.estimate({f"{first}_w": one, f"{second}_w": -other})
-            blanked = _blank(asdict(estimate), lack=lack)
+            blanked = _blank(estimate, lack=lack)
             row |= {f"{prefix}{name}": value for name, value in blanked.items()}
         rows.append(row)
     return pd.DataFrame(rows)
@@ -545,7 +428,7 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]
         solved = solve_design(design, most_df=terms.most_df)
     except ValueError as error:
         return table, [f"No slopes centred on reducers: {error}"]
-    rows = [_blank(asdict(solved.estimate({name: 1.0})), lack=lack) for name in names]
+    rows = [_blank(solved.estimate({name: 1.0}), lack=lack) for name in names]
     return pd.DataFrame(rows, index=within)[list(CENTRED)].rename(columns=CENTRED), []
 
 
@@ -568,18 +451,15 @@ def _add_item_variances(solved: Solved) -> float:
     return float(sum(part[0, 0] for group, _, part in spreads if group in {ITEM, REDUCER, ALIKE}))
 
 
-def _note_lacks(slopes: DataFrame, lack: str) -> Iterator[str]:
-    for name in slopes.index[~slopes["estimable"]]:
-        few = f"with fewer than {FEWEST_DF:g} degrees of freedom"
-        yield f"The slope of {name} is not estimable {lack or few}: it has no test and no interval."
-
-
-def _note_limit(found: Slopes) -> Iterator[str]:
-    """Say where the number of recordings limits degrees of freedom."""
+def _note_limits(found: Slopes, lack: str) -> Iterator[str]:
+    """Say where the number of recordings limits degrees of freedom, and which slopes are not estimable."""
     limit, scenes = found.terms.most_df, "sources" if found.cells.shared else "recordings"
     if (found.table["df"] >= limit).any():
         few = f"Slopes seem to differ little between {found.cells.n_sources} {scenes}, which so few do not show"
         yield f"{few}: intervals are widened to at most {limit:g} degrees of freedom."
+    for name in found.table.index[~found.table["estimable"]]:
+        few = f"with fewer than {FEWEST_DF:g} degrees of freedom"
+        yield f"The slope of {name} is not estimable {lack or few}: it has no test and no interval."
 
 
 def _warn_few(cells: Cells) -> Iterator[str]:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.arrays import read_numbers
+from feel321.analysis.arrays import check_columns, read_numbers
 from feel321.analysis.table.items import (
     choose_metrics,
     find_sources,
@@ -115,6 +115,11 @@ class Cells:
         names = [*KEYS, *(name for name in (SOURCE, REDUCER) if name in self.table)]
         return {name: self.table[name].factorize()[0].astype(np.intp) for name in names}
 
+    @cached_property
+    def rated(self) -> DataFrame:
+        """A row per stimulus that was rated, with its metrics split."""
+        return self.table.iloc[np.unique(self._codes[ITEM], return_index=True)[1]]
+
     def count(self, *columns: str) -> int:
         """Count the combinations of columns that occur."""
         combined = np.zeros(len(self.table), dtype=np.intp)
@@ -122,18 +127,16 @@ class Cells:
             combined = combined * (len(self.table) + 1) + self._codes[name]
         return len(np.unique(combined))
 
-    def varies(self, column: str) -> bool:
-        """Check whether a metric's part differs between items, beyond rounding."""
-        metric = column[:-2]
-        size = float(np.abs(self.table[f"{metric}_w"] + self.table[f"{metric}_b"]).max())
-        return float(np.ptp(self.table[column].to_numpy())) > FLAT * size
+    def mark(self, name: str, rows: Samples | NDArray[np.intp]) -> Samples:
+        """Mark the level of some rows of the table: (n_rows, n_levels)."""
+        codes = self._codes[name]
+        marks: Samples = np.eye(int(codes.max()) + 1)[codes[rows.astype(np.intp)]]
+        return marks
 
 
 def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     """Average repeats where that loses nothing, and split the metrics.
 
-    Notes
-    -----
     With equally many repeats in every cell the means hold all there is to know about the slopes; otherwise
     cells would need weights, so rows are kept and the model gets a term for the cell. Beyond some hundred levels that
     takes minutes, and means are taken all the same (40 people, 20 recordings, 10 reducers, 10^5 ratings: 3 s instead
@@ -142,9 +145,12 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     names = choose_metrics(rows, metrics)
     rows, notes = select_rows(rows)
     rows = _read_rows(rows, names)
-    items = _gather_items(rows, names)
-    cells = arrange_cells(rows[[*KEYS, RATING]], _add_level(items, rows), names, notes=notes)
-    return replace(cells, notes=(*cells.notes, *_note_level(cells)))
+    items = _add_level(_gather_items(rows, names), rows)
+    cells = arrange_cells(rows[[*KEYS, RATING]], items, names, notes=notes)
+    if LEVEL in items or set(LEVELS) & set(names):
+        return cells
+    unknown = f"Level was not known (no column {', '.join(LEVELS)}): slopes may be those of level."
+    return replace(cells, notes=(*cells.notes, unknown))
 
 
 def _add_level(items: DataFrame, rows: DataFrame) -> DataFrame:
@@ -159,14 +165,8 @@ def _add_level(items: DataFrame, rows: DataFrame) -> DataFrame:
         if name == AMPLITUDE:
             values = values.where(values > 0).map(np.log10) * 20
         if np.isfinite(values).all():
-            return items.assign(**{LEVEL: items[ITEM].map(values)})
+            return items.assign(**{LEVEL: values.reindex(items[ITEM]).to_numpy()})
     return items
-
-
-def _note_level(cells: Cells) -> Iterator[str]:
-    """Say why level is not in the model."""
-    if LEVEL not in cells.items and not set(LEVELS) & set(cells.metrics):
-        yield f"Level was not known (no column {', '.join(LEVELS)}): slopes may be those of level."
 
 
 def arrange_cells(
@@ -175,28 +175,35 @@ def arrange_cells(
     """Put ratings beside the metrics of their stimuli; those that nobody rated do not count."""
     if ratings.empty:
         raise ValueError("rows must hold a row per rating, got none")
-    sizes = ratings.groupby([WHO, ITEM], observed=True).size()
+    groups = ratings.groupby(list(KEYS), observed=True)[RATING]
+    sizes = groups.size()
     unequal, rough = bool(sizes.min() < sizes.max()), False
     if unequal:
-        groups = ([WHO, SCENE], [ITEM], [WHO], [SCENE])
-        rough = sum(len(ratings[keys].drop_duplicates()) for keys in groups) > MOST_LEVELS
+        units = ([WHO, SCENE], [ITEM], [WHO], [SCENE])
+        rough = sum(len(ratings[keys].drop_duplicates()) for keys in units) > MOST_LEVELS
     means, averaged = ratings, rough or bool(sizes.min() == sizes.max() > 1)
     if averaged:
-        means = ratings.groupby(list(KEYS), observed=True)[RATING].mean().reset_index()
+        means = groups.mean().reset_index()
     items = items[items[ITEM].isin(ratings[ITEM].unique())]
-    values, shared = items[list(metrics)], [name for name in (REDUCER, SOURCE) if name in items]
-    centre = values.groupby(items[SCENE], observed=True).transform("mean")
-    split = items[[SCENE, ITEM]].join([
-        (values - centre).add_suffix("_w"), centre.add_suffix("_b"), items[shared]
-    ])  # fmt: skip
+    scenes = items[SCENE].factorize()[0]
+    values = items[list(metrics)].to_numpy(np.float64)
+    split = {name: items[name].array for name in (REDUCER, SOURCE) if name in items}
+    if SOURCE in split and items.drop_duplicates(SCENE)[SOURCE].is_unique:
+        del split[SOURCE]
+    count = np.bincount(scenes)[:, None]
+    marks = np.eye(len(count))[scenes]
+    centre = (marks.T @ values / count)[scenes]
+    split |= {f"{name}_w": one for name, one in zip(metrics, (values - centre).T, strict=True)}
+    split |= {f"{name}_b": one for name, one in zip(metrics, centre.T, strict=True)}
     if LEVEL in items:
-        levels = items[LEVEL] - items.groupby(SCENE, observed=True)[LEVEL].transform("mean")
-        split = split.assign(**{LEVEL: levels}) if np.ptp(levels) >= LEAST_DB else split
-    if SOURCE in split and split.drop_duplicates(SCENE)[SOURCE].is_unique:
-        split = split.drop(columns=SOURCE)
+        levels = items[LEVEL].to_numpy(np.float64)
+        levels = levels - (marks.T @ levels / count[:, 0])[scenes]
+        split |= {LEVEL: levels} if np.ptp(levels) >= LEAST_DB else {}
+    place = items.set_index(ITEM).index.get_indexer(means[ITEM].array)
     return Cells(
-        table=means.merge(split, on=[SCENE, ITEM]), ratings=ratings if unequal else means, items=items,
-        metrics=metrics, averaged=averaged, repeated=unequal and not rough, rough=rough, notes=notes,
+        table=means.assign(**{name: one[place] for name, one in split.items()}).reset_index(drop=True),
+        ratings=ratings if unequal else means, items=items, metrics=metrics, averaged=averaged,
+        repeated=unequal and not rough, rough=rough, notes=notes,
     )  # fmt: skip
 
 
@@ -209,36 +216,28 @@ def select_rows(rows: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
 
 def _gather_items(rows: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
     """Gather every stimulus: its metrics, its reducer, and the source of its recording where several have one."""
-    items = rows[[SCENE, ITEM, *metrics]].drop_duplicates()
+    known = [name for name in (REDUCER,) if name in rows]
+    items = rows[[SCENE, ITEM, *metrics, *known]].drop_duplicates()
     if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
         raise ValueError(
-            f"rows must have one stimulus per item, got item {twice[0]!r} with two recordings or two values of a metric"
+            f"rows must have one stimulus per item, got item {twice[0]!r} with two recordings, two reducers or two "
+            "values of a metric"
         )
-    if REDUCER in rows:
-        reducers = rows[[ITEM, REDUCER]].drop_duplicates().set_index(ITEM)[REDUCER]
-        if not reducers.index.is_unique:
-            twice = reducers.index[reducers.index.duplicated()].tolist()
-            raise ValueError(
-                f"rows must have one stimulus per item, got item {twice[0]!r} with two reducers"
-            )
-        items = items.assign(**{REDUCER: items[ITEM].map(reducers)})
     sources = find_sources(rows)
     if sources.is_unique:
         return items
-    if REDUCER not in rows:
+    if not known:
         raise ValueError(
             "rows must say which stimuli of a source were reduced alike, got "
             f"{len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'; add it"
         )
-    return items.assign(**{SOURCE: items[SCENE].map(sources)})
+    return items.assign(**{SOURCE: sources.reindex(items[SCENE]).astype("category").array})
 
 
 def _read_rows(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
+    """Read numbers as such, and names as categories, whose every use costs less."""
     wanted = [*KEYS, RATING, *metrics]
-    if missing := [name for name in wanted if name not in rows]:
-        raise ValueError(
-            f"rows must have the columns {', '.join(wanted)}; got no column {missing[0]!r}"
-        )
+    check_columns(rows, wanted, "rows")
     refuse_pooled(rows, metrics=metrics, what="rows")
     numbers = {
         name: read_numbers(rows[name], what=f"rows, {name!r}") for name in wanted[len(KEYS) :]
@@ -252,7 +251,8 @@ def _read_rows(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
         raise ValueError(
             "rows must be complete, got one without participant, recording or item; leave it out"
         )
-    return rows.assign(**numbers)
+    names = [*KEYS, *(name for name in (REDUCER,) if name in rows)]
+    return rows.assign(**numbers, **{name: rows[name].astype("category") for name in names})
 
 
 def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
@@ -264,10 +264,10 @@ def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
     values = items[list(names)].to_numpy()
     left = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
     left *= np.abs(left).max(axis=0) > FLAT * np.abs(values).max(axis=0)
-    known = pd.DataFrame(left, items.index, list(names))
+    place = items.index.get_indexer(table[ITEM].array)
     return table.assign(
         **{REDUCER: table[REDUCER].astype(str)},
-        **{name: table[ITEM].map(known[name]).astype(np.float64) for name in names},
+        **{name: own[place] for name, own in zip(names, left.T, strict=True)},
     )
 
 
@@ -293,11 +293,11 @@ def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Terms:
     fixed = _plan_fixed(cells, reductions)
     slopes = [name for name in fixed if name.endswith("_w")]
     known = [name for name in fixed if name in {*slopes, LEVEL}]
+    free = _count_free(cells, known) if reducers and REDUCER in cells.table else 0
     chosen = [
         *_plan_people(cells, slopes, bar="|" if correlated else "||"),
         *_plan_groups(cells, slopes),
-        *_plan_sources(cells, slopes),
-        *(_plan_reducers(cells, slopes, known) if reducers else ()),
+        *(_plan_reducers(cells, slopes, free) if reducers else ()),
     ]
     random = [term for term in chosen if term.startswith("(")]
     reductions += [reason for reason in chosen if not reason.startswith("(")]
@@ -311,7 +311,7 @@ def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Terms:
         )
     few = f"(1 | {REDUCER})" in random and cells.count(REDUCER) < FEW_REDUCERS
     # Of a single difference the penalised likelihood has no maximum: it grows with the spread as fast as it falls.
-    penalty = (REDUCER,) if few and _count_free(cells, known) > 1 else ()
+    penalty = (REDUCER,) if few and free > 1 else ()
     return Terms(
         tuple(fixed), tuple(random), tuple(reductions), penalty, find_most_df(cells.n_sources)
     )
@@ -328,41 +328,48 @@ def find_most_df(recordings: int) -> float:
 
 
 def _plan_fixed(cells: Cells, reductions: list[str]) -> list[str]:
-    within = [f"{name}_w" for name in cells.metrics if cells.varies(f"{name}_w")]
+    columns = {
+        name: cells.rated[name].to_numpy(np.float64)
+        for name in map(str, cells.rated)
+        if name[-2:] in {"_w", "_b", "db"}
+    }
+
+    def varies(metric: str, part: str) -> bool:
+        size = float(np.abs(columns[f"{metric}_w"] + columns[f"{metric}_b"]).max())
+        return float(np.ptp(columns[f"{metric}{part}"])) > FLAT * size
+
+    def keep_independent(names: list[str]) -> list[str]:
+        """Leave out what is a sum of those before it."""
+        kept: list[str] = []
+        for name in names:
+            values = np.stack([columns[one] for one in (*kept, name)], axis=1)
+            values = (values - values.mean(axis=0)) / values.std(axis=0)
+            left = np.abs(np.diag(np.linalg.qr(values, mode="r")))[-1]
+            if left > DEPENDENT * np.sqrt(len(values)):
+                kept.append(name)
+            else:
+                reductions.append(f"No term {name}: it is a sum of {', '.join(kept)}.")
+        return kept
+
+    flat = [name for name in cells.metrics if not varies(name, "_w")]
     reductions += [
-        f"No slope of {name}: it is the same for all stimuli of a recording."
-        for name in cells.metrics
-        if f"{name}_w" not in within
+        f"No slope of {name}: it is the same for all stimuli of a recording." for name in flat
     ]
-    within = _keep_independent(cells, within, reductions)
+    within = keep_independent([f"{name}_w" for name in cells.metrics if name not in flat])
     if not within:
         raise ValueError(
             f"metrics must vary, got {', '.join(cells.metrics)}, none of which differs between stimuli of a recording"
         )
-    *_, last = _keep_independent(cells, [*within, *([LEVEL] * cells.has_level)], reductions)
-    level = [LEVEL] if last == LEVEL else []
-    between = [f"{name}_b" for name in cells.metrics if cells.varies(f"{name}_b")]
+    level = keep_independent([*within, LEVEL])[len(within) :] if cells.has_level else []
+    between = [f"{name}_b" for name in cells.metrics if varies(name, "_b")]
     if cells.n_sources >= len(between) + 2 and between:
-        return [*within, *_keep_independent(cells, between, reductions), *level]
+        return [*within, *keep_independent(between), *level]
     scenes = f"source{'s' if cells.n_sources > 1 else ''}" if cells.shared else "of them"
     reductions.append(
         f"No slopes between recordings: with {cells.n_sources} {scenes}, {len(cells.metrics)} such slopes "
         "cannot be told from the recordings themselves."
     )
     return [*within, *level]
-
-
-def _keep_independent(cells: Cells, columns: list[str], reductions: list[str]) -> list[str]:
-    """Leave out metrics that are sums of those before them."""
-    kept: list[str] = []
-    for name in columns:
-        values = cells.table[[*kept, name]].to_numpy()
-        values = (values - values.mean(axis=0)) / values.std(axis=0)
-        if np.abs(np.diag(np.linalg.qr(values, mode="r")))[-1] > DEPENDENT * np.sqrt(len(values)):
-            kept.append(name)
-        else:
-            reductions.append(f"No term {name}: it is a sum of {', '.join(kept)}.")
-    return kept
 
 
 # Each of the following yields terms, and the reason for every term that the data cannot carry.
@@ -381,7 +388,11 @@ def _plan_people(cells: Cells, slopes: list[str], *, bar: str) -> Iterator[str]:
 
 
 def _plan_groups(cells: Cells, slopes: list[str]) -> Iterator[str]:
-    """Name the grouping factors besides people, as far as the design tells them apart."""
+    """Name the grouping factors besides people and reducers, as far as the design tells them apart.
+
+    Slopes are of sources, where several recordings come from one: those of a recording and its copies are alike.
+    Without the last term each copy would count as evidence of its own.
+    """
     several, people, rows = cells.count(SCENE) > 1, cells.count(WHO), len(cells.table)
     lone = "No spread between recordings: one recording only; nothing here speaks of others."
     own = [] if cells.shared and cells.n_sources > 1 else slopes
@@ -395,6 +406,11 @@ def _plan_groups(cells: Cells, slopes: list[str]) -> Iterator[str]:
         yield f"(1 | {WHO}:{SCENE})" if paired else once
     if cells.repeated and people > 1:
         yield f"(1 | {WHO}:{ITEM})"
+    if cells.shared:
+        lone = "No spread between sources: all recordings come from one; nothing here speaks of others."
+        yield _write_spread(SOURCE, slopes) if cells.n_sources > 1 else lone
+        if cells.count(SOURCE, REDUCER) < cells.count(ITEM):
+            yield f"(1 | {ALIKE})"
 
 
 def _write_spread(group: str, slopes: list[str]) -> str:
@@ -407,19 +423,7 @@ def find_recording_slope(spreads: Mapping[tuple[str, str], float], metric: str) 
     return max(spreads.get((group, f"{metric}_w"), 0.0) for group in (SCENE, SOURCE))
 
 
-def _plan_sources(cells: Cells, slopes: list[str]) -> Iterator[str]:
-    """Name what recordings of one source share; without it each copy would count as evidence of its own.
-
-    Slopes are of sources too: those of a recording and its copies are alike.
-    """
-    if cells.shared:
-        lone = "No spread between sources: all recordings come from one; nothing here speaks of others."
-        yield _write_spread(SOURCE, slopes) if cells.n_sources > 1 else lone
-        if cells.count(SOURCE, REDUCER) < cells.count(ITEM):
-            yield f"(1 | {ALIKE})"
-
-
-def _plan_reducers(cells: Cells, slopes: list[str], known: list[str]) -> Iterator[str]:
+def _plan_reducers(cells: Cells, slopes: list[str], free: int) -> Iterator[str]:
     """Name what stimuli of one reducer share, for everyone and for one person, as far as recordings repeat reducers."""
     none = "No spread between reducers: "
     if REDUCER not in cells.table:
@@ -433,7 +437,7 @@ def _plan_reducers(cells: Cells, slopes: list[str], known: list[str]) -> Iterato
     # Of one source, (1 | source:reducer) is this term.
     if not cells.shared or cells.n_sources > 1:
         few = none + "too few stimuli to tell it from the slopes."
-        yield f"(1 | {REDUCER})" if _count_free(cells, known) else few
+        yield f"(1 | {REDUCER})" if free else few
     if cells.count(WHO) > 1:
         few = "No spread of people's reducers: too few stimuli to tell it from the residual."
         yield f"(1 | {WHO}:{REDUCER})" if _has_residual(cells, slopes) else few
@@ -441,32 +445,26 @@ def _plan_reducers(cells: Cells, slopes: list[str], known: list[str]) -> Iterato
 
 def _count_free(cells: Cells, slopes: list[str]) -> int:
     """Count the differences between reducers that neither recordings nor slopes account for."""
-    items = cells.table.drop_duplicates(ITEM)
-    others = np.hstack([_mark_levels(items, SCENE), _read_slopes(items, slopes)])
-    both = np.hstack([others, _mark_levels(items, REDUCER)])
+    rows = cells.rated.index.to_numpy()
+    values = cells.rated[slopes].to_numpy(np.float64)
+    # Each in units of its spread, so that none counts as rounding.
+    others = np.hstack([cells.mark(SCENE, rows), values / values.std(axis=0)])
+    both = np.hstack([others, cells.mark(REDUCER, rows)])
     return int(np.linalg.matrix_rank(both) - np.linalg.matrix_rank(others))
 
 
 def _has_residual(cells: Cells, slopes: list[str]) -> bool:
     """Check whether anybody's ratings have a dimension besides their recordings, reducers and slopes."""
-    rated = cells.table.drop_duplicates([WHO, ITEM])
-    groups = (_mark_levels(rated, name) for name in (SCENE, REDUCER))
-    columns = np.hstack([*groups, _read_slopes(rated, slopes)])
-    places = rated.groupby(WHO, observed=True).indices.values()
-    return any(np.linalg.matrix_rank(columns[place]) < len(place) for place in places)
-
-
-def _mark_levels(table: DataFrame, name: str) -> Samples:
-    codes, levels = table[name].factorize()
-    marks: Samples = np.eye(len(levels))[codes]
-    return marks
-
-
-def _read_slopes(table: DataFrame, names: list[str]) -> Samples:
-    """Read metrics within recordings, each in units of its spread so that none counts as rounding."""
-    values = table[names].to_numpy(np.float64)
-    scaled: Samples = values / values.std(axis=0)
-    return scaled
+    values = cells.table[slopes].to_numpy(np.float64)
+    values = values / values.std(axis=0)
+    who, item = cells.table[WHO].factorize()[0], cells.table[ITEM].factorize()[0]
+    for number in range(int(who.max()) + 1):
+        own = np.flatnonzero(who == number)
+        own = own[np.unique(item[own], return_index=True)[1]]
+        columns = np.hstack([cells.mark(SCENE, own), cells.mark(REDUCER, own), values[own]])
+        if np.linalg.matrix_rank(columns) < len(own):
+            return True
+    return False
 
 
 def _quote(name: str) -> str:

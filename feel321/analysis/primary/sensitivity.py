@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -68,24 +69,18 @@ class Variant(NamedTuple):
     left: str = ""
     note: str = ""
 
-    def fit(self, start: Solved | None = None) -> Fitted:
-        """Fit the slopes; start: a fit to nearly the same cells, for speed."""
-        cells = self.make()
-        found = fit_slopes(cells, correlated=self.correlated, reducers=self.reducers, start=start)
-        table = found.table.reindex(list(cells.metrics))
-        return Fitted(
-            table, bool(note_zeros(found.solved)), " ".join(found.terms.reductions), found
-        )
-
-    def try_to_fit(self, metrics: Sequence[str], start: Solved | None = None) -> Fitted:
-        """Fit the slopes; NaN and the reason where the rows carry no model."""
+    def fit(self, metrics: Sequence[str], start: Solved | None = None) -> Fitted:
+        """Fit the slopes; NaN and the reason where the rows carry no model; start: a fit to nearly the same cells."""
         try:
-            return self.fit(start)
+            found = fit_slopes(
+                self.make(), correlated=self.correlated, reducers=self.reducers, start=start
+            )
         except ValueError as error:
             columns = [*ESTIMATED, *STANDARDISED, "tenth", "tenth_low", "tenth_high"]
-            index = pd.Index(metrics, name="metric")
-            empty = pd.DataFrame(np.nan, index=index, columns=columns)
+            empty = pd.DataFrame(np.nan, index=pd.Index(metrics, name="metric"), columns=columns)
             return Fitted(empty, singular=False, reason=str(error))
+        singular, lacks = bool(note_zeros(found.solved)), " ".join(found.terms.reductions)
+        return Fitted(found.table.reindex(list(found.cells.metrics)), singular, lacks, found)
 
 
 def leave_out_each(cells: Cells, column: str, names: Iterable[object]) -> Iterator[Variant]:
@@ -108,9 +103,7 @@ def leave_out_units(cells: Cells) -> Iterator[Variant]:
         yield from leave_out_each(cells, column, ordered if several else [])
 
 
-def vary_primary(
-    rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0, leave_out: bool = True
-) -> DataFrame:
+def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0) -> DataFrame:
     """Repeat the primary analysis under other choices: one row per variant and metric.
 
     rows: as for `fit_primary`; ratings from 0 to top. Columns: variant, unit (of estimate, low and high: points, rater
@@ -118,13 +111,11 @@ def vary_primary(
     singular, and reason (why a variant has no numbers, or what its model lacks or leaves out).
 
     Variants: people's slopes correlated; the model without its terms for reducers, which takes what a reducer feels
-    like for other reasons for evidence of its metric; without each recording (without each source, where several
-    recordings come from one: the others of it would stand in for what is left out); without each reducer (metrics
-    are split anew over what is left, so that nothing of it leaks in); each rater's ratings standardised, which takes
-    out how much of the scale they use (raters whose ratings are all the same cannot be, and are left out, as the
-    reason says); ratings as logits of (y (n - 1) + 1/2) / n, y = rating / top and n their number (Smithson & Verkuilen
-    2006, doi 10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's ends. Only standardised slopes
-    compare across units. Where rows have them: the metrics of what was delivered in place of those intended; the rig as
+    like for other reasons for evidence of its metric; each rater's ratings standardised, which takes out how much of
+    the scale they use (raters whose ratings are all the same are left out, as the reason says); ratings as logits of
+    (y (n - 1) + 1/2) / n, y = rating / top and n their number (Smithson & Verkuilen 2006, doi
+    10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's ends. Only standardised slopes compare
+    across units. Where rows have them: the metrics of what was delivered in place of those intended; the rig as
     a factor (mean ratings of each rig and recording taken out); without the people on each rig.
     """
     rows, notes = select_rows(rows)
@@ -135,28 +126,25 @@ def vary_primary(
         )
     rows = rows.assign(**{RATING: ratings})
     tables = []
-    for variant in _list_variants(rows, metrics, top=top, leave_out=leave_out):
-        whole = variant.name == "primary"
-        table, singular, reason, _ = variant.fit() if whole else variant.try_to_fit(metrics)
-        table = table[[*ESTIMATED, *STANDARDISED]].rename_axis("metric").reset_index()
-        reason = " ".join(filter(None, (*notes, variant.note, reason)))
+    for variant in _list_variants(rows, metrics, top=top):
+        found = variant.fit(metrics)
+        if variant.name == "primary" and not found.slopes:
+            raise ValueError(found.reason)
+        table = found.table[[*ESTIMATED, *STANDARDISED]].rename_axis("metric").reset_index()
+        reason = " ".join(filter(None, (*notes, variant.note, found.reason)))
         table.insert(0, "unit", variant.unit)
         table.insert(0, "variant", variant.name)
-        tables.append(table.assign(singular=singular, reason=reason))
+        tables.append(table.assign(singular=found.singular, reason=reason))
     return pd.concat(tables, ignore_index=True)
 
 
-def _list_variants(
-    rows: DataFrame, metrics: Sequence[str], *, top: float, leave_out: bool
-) -> Iterator[Variant]:
+def _list_variants(rows: DataFrame, metrics: Sequence[str], *, top: float) -> Iterator[Variant]:
     cells = make_cells(rows, metrics)
     yield Variant("primary", lambda: cells)
     yield Variant("correlated slopes", lambda: cells, correlated=True)
     yield Variant("without reducers", lambda: cells, reducers=False)
     if cells.has_level:
         yield Variant("without level", cells.ignore_level)
-    if leave_out:
-        yield from leave_out_units(cells)
     own = rows.groupby(WHO, observed=True)[RATING]
     spread = own.transform("std").fillna(0)
     steady = spread == 0
@@ -284,19 +272,15 @@ def judge_level(level: str, p_holm: float, plain_p_holm: float) -> str:
 
 def list_changes(slopes: Iterable[Mapping[Any, Any]]) -> Iterator[Mapping[Any, Any]]:
     """List the slopes without flagged raters from which another conclusion follows than from everyone's."""
-    slopes = list(slopes)
-    whole = {_find_place(row): _find_direction(row) for row in slopes if row["panel"] == "everyone"}
+
+    def find_direction(row: Mapping[Any, Any]) -> float:
+        """Find the direction in which a metric predicts; 0 where nothing is claimed."""
+        return float(np.sign(row["tenth"])) if row["verdict"] == PREDICTS else 0.0
+
+    slopes, keys = list(slopes), itemgetter("scale", "level", "metric")
+    whole = {keys(row): find_direction(row) for row in slopes if row["panel"] == "everyone"}
     # Where everyone's model could not be fitted, nothing is claimed of everyone.
-    yield from (row for row in slopes if _find_direction(row) != whole.get(_find_place(row), 0.0))
-
-
-def _find_place(row: Mapping[Any, Any]) -> tuple[str, str, str]:
-    return row["scale"], row["level"], row["metric"]
-
-
-def _find_direction(row: Mapping[Any, Any]) -> float:
-    """Find the direction in which a metric predicts; 0 where nothing is claimed."""
-    return float(np.sign(row["tenth"])) if row["verdict"] == PREDICTS else 0.0
+    yield from (row for row in slopes if find_direction(row) != whole.get(keys(row), 0.0))
 
 
 def measure_influence(
@@ -316,7 +300,7 @@ def measure_influence(
         before = _conclude(whole.slopes, others)
         solved = None
         for variant in (*leave_out_units(cells), *candidates):
-            fitted = variant.try_to_fit(metrics, solved)
+            fitted = variant.fit(metrics, solved)
             solved = fitted.slopes.solved if fitted.slopes else solved
             table = _compare(fitted, whole, before=before, others=others)
             found.append(table.assign(kind=variant.kind, unit=variant.left))
@@ -329,8 +313,6 @@ def measure_influence(
 def find_candidates(cells: Cells, *, count: int = CANDIDATES) -> list[str]:
     """Find the stimuli that move slopes most, in regressions of the stimuli's mean ratings.
 
-    Notes
-    -----
     Without stimulus i the slopes of ordinary least squares change by (X'X)^-1 x_i e_i / (1 - h_i), with e_i its
     residual and h_i its leverage (Belsley, Kuh & Welsch 1980, ISBN 0-471-05856-4).
     """
@@ -341,9 +323,11 @@ def find_candidates(cells: Cells, *, count: int = CANDIDATES) -> list[str]:
             continue
         dummies = _list_dummies(items, groups)
         x, y = (_centre(dummies, each) for each in (values, ratings[:, None]))
-        for change in _measure_changes(
-            x, y[:, 0], share=np.einsum("ij,ji->i", dummies, np.linalg.pinv(dummies))
-        ).T:
+        inverse = np.linalg.pinv(x)
+        residual = y[:, 0] - x @ (inverse @ y[:, 0])
+        share = np.einsum("ij,ji->i", dummies, np.linalg.pinv(dummies))
+        leverage = share + np.einsum("ij,ji->i", x, inverse)
+        for change in inverse * (residual / np.maximum(1 - leverage, 1e-9)):
             order = np.argsort(-np.abs(change), kind="stable")[:count]
             chosen |= dict.fromkeys(items[ITEM].iloc[order[np.abs(change[order]) > 0]])
     return list(chosen)
@@ -354,9 +338,9 @@ def _average_items(cells: Cells) -> tuple[DataFrame, Samples, Samples]:
     table = cells.table
     level = table.groupby(WHO, observed=True)[RATING].transform("mean")
     means = (table[RATING] - level).groupby(table[ITEM], observed=True).mean()
-    items = table.drop_duplicates(ITEM).reset_index(drop=True)
+    items = cells.rated.reset_index(drop=True)
     within = items[[f"{name}_w" for name in cells.metrics]].to_numpy(np.float64)
-    return items, within, items[ITEM].map(means).to_numpy(np.float64)
+    return items, within, means.reindex(items[ITEM]).to_numpy(np.float64)
 
 
 def _list_dummies(items: DataFrame, groups: Sequence[str]) -> Samples:
@@ -368,15 +352,6 @@ def _list_dummies(items: DataFrame, groups: Sequence[str]) -> Samples:
 def _centre(dummies: Samples, values: Samples) -> Samples:
     centred: Samples = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
     return centred
-
-
-def _measure_changes(x: Samples, y: Samples, *, share: Samples) -> Samples:
-    """Compute how every slope changes without each stimulus; share is the leverage of what was taken out before."""
-    inverse = np.linalg.pinv(x)
-    residual = y - x @ (inverse @ y)
-    leverage = share + np.einsum("ij,ji->i", x, inverse)
-    changes: Samples = (inverse * (residual / np.maximum(1 - leverage, 1e-9))).T
-    return changes
 
 
 def _conclude(slopes: DataFrame, others: Sequence[float]) -> DataFrame:
@@ -420,19 +395,9 @@ def _find_exceptions(cells: Cells, slopes: dict[str, Slopes]) -> DataFrame:
     return pd.DataFrame.from_dict(found, orient="index", columns=columns).rename_axis(REDUCER)
 
 
-class Excess(NamedTuple):
-    """Points by which a reducer is rated above what the slopes of all others predict, relative to these."""
+def measure_excess(cells: Cells, name: str, others: Slopes) -> tuple[float, float, float]:
+    """Measure by how many points a reducer is rated above what the slopes of all others predict: excess, se, df.
 
-    value: float
-    se: float
-    df: float
-
-
-def measure_excess(cells: Cells, name: str, others: Slopes) -> Excess:
-    """Measure a reducer's excess over the prediction of a model that was fitted without it.
-
-    Notes
-    -----
     Two variances add up: of what the slopes leave of reducers, s² (1 + 1/n) over the n others, and of the prediction
     itself, which may lie far from the metrics of the others. Their degrees of freedom are put together as by Welch and
     Satterthwaite. Without the second, four slopes on six reducers named a reducer that had no excess in 53 % of 30
@@ -451,4 +416,4 @@ def measure_excess(cells: Cells, name: str, others: Slopes) -> Excess:
     known = [(se, df) for se, df in parts if se > 0 and df > 0]
     se = math.hypot(*(se for se, _ in known))
     df = se**4 / sum(one**4 / df for one, df in known) if known else math.nan
-    return Excess(float(gap[0]) - slope.estimate, se, df)
+    return float(gap[0]) - slope.estimate, se, df

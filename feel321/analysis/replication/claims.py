@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -114,37 +115,24 @@ class PaperAnswer:
     without: ClaimValue | None = None
 
 
-def find_measure(name: str) -> Measure:
-    """Find a measure by its name in the registry."""
-    module, _, function = MEASURES[name].partition(":")
-    measure: Measure = getattr(import_module(f"{__package__}.{module}"), function)
-    return measure
-
-
 def answer_claims(table: Table, paper: Paper, choices: Choices) -> Iterator[PaperAnswer]:
     """Answer every claim of a paper."""
     for claim in paper.claims:
+        module, _, function = MEASURES[claim.measure].partition(":")
+        measure: Measure = getattr(import_module(f"{__package__}.{module}"), function)
         try:
             own = narrow(table, claim)
-            measure = find_measure(claim.measure)
             found = measure(own, claim, choices)
         except ValueError as error:
-            why = str(error).rstrip(".")
-            yield PaperAnswer(claim, NOT_ESTIMABLE, f"{why}.")
+            yield PaperAnswer(claim, NOT_ESTIMABLE, f"{str(error).rstrip('.')}.")
             continue
-        without = _measure_without(own, claim, choices)
+        without = None
+        # Without the exceptions that the paper names, where they were rated and enough is left.
+        if set(claim.exceptions) & set(own.rows["reducer"]):
+            with suppress(ValueError):
+                without = measure(leave_out(own, claim.exceptions), claim, choices)
         verdict = judge(claim, found)
         yield PaperAnswer(claim, verdict, _describe(claim, found, without), found, without)
-
-
-def _measure_without(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue | None:
-    """Measure without the exceptions that the paper names, where they were rated and enough is left."""
-    if not set(claim.exceptions) & set(table.rows["reducer"]):
-        return None
-    try:
-        return find_measure(claim.measure)(leave_out(table, claim.exceptions), claim, choices)
-    except ValueError:
-        return None
 
 
 def narrow(table: Table, claim: PaperClaim) -> Table:
@@ -184,16 +172,6 @@ def leave_out(table: Table, reducers: Iterable[str]) -> Table:
     return replace(table, rows=kept, stimuli=stimuli)
 
 
-def require_option(claim: PaperClaim, name: str) -> str:
-    """Take an option that a measure cannot do without."""
-    if name not in claim.options:
-        raise ValueError(f"options must name a {name}; add {name} = ... to the claim {claim.name}")
-    return str(claim.options[name])
-
-
-# Whether a number is as the paper says.
-
-
 def judge(claim: PaperClaim, found: ClaimValue) -> str:
     """Compare what was found with what the paper says.
 
@@ -213,22 +191,19 @@ def judge(claim: PaperClaim, found: ClaimValue) -> str:
     gaps = [_fill_ends(one) for one in found.beside.values()] if ranked else [ends]
     places = words.PLACES[found.kind]
     gaps = [one if one[1] < one[2] else (round(one[0], places),) * 3 for one in gaps]
-    return _judge_signs(gaps, upward=claim.expect in {"positive", "highest"})
+    if claim.expect in {"negative", "lowest"}:
+        gaps = [(-value, -high, -low) for value, low, high in gaps]
+    if not gaps:
+        return NOT_ESTIMABLE
+    if any(high < 0 for _, _, high in gaps):
+        return DIFFERS
+    return AGREES if all(low > 0 for _, low, _ in gaps) else OPEN
 
 
 def _fill_ends(ends: Ends) -> Ends:
     """Take a number without an interval as certain."""
     value, low, high = ends
     return ends if math.isfinite(low + high) else (value, value, value)
-
-
-def _judge_signs(gaps: list[Ends], *, upward: bool) -> str:
-    if not gaps:
-        return NOT_ESTIMABLE
-    turned = gaps if upward else [(-value, -high, -low) for value, low, high in gaps]
-    if any(high < 0 for _, _, high in turned):
-        return DIFFERS
-    return AGREES if all(low > 0 for _, low, _ in turned) else OPEN
 
 
 def _describe(claim: PaperClaim, found: ClaimValue, without: ClaimValue | None) -> str:

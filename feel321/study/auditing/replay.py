@@ -11,18 +11,15 @@ from math import isclose, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from feel321.protocols.agenda import Agenda
-from feel321.protocols.blocks import Matching
 from feel321.protocols.trial import Scale
 from feel321.study.session import events, ports
-from feel321.study.session.engine import Setup, find_choices, follow_agenda
+from feel321.study.session.engine import Session, find_choices
 from feel321.study.session.journal import Journal, Record, utc_now
-from feel321.study.session.pace import Schedule
-from feel321.study.session.plan import Plan, advance, recall_detection
 
 if TYPE_CHECKING:
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.protocols.trial import Page, Part, Trial
+    from feel321.study.session.plan import Plan
 
 MALFORMED = (AttributeError, LookupError, TypeError, RecursionError, ArithmeticError)
 """Errors of reading a plan or record that holds other fields, or other types, than feel321 writes."""
@@ -250,14 +247,14 @@ class _Rerun:
     """A session, run again: what the engine leads through, and where others act."""
 
     def __init__(self, records: Sequence[Record], plan: Plan) -> None:
-        self.paper = _Paper(records)
-        self._plan = plan
-        self._trials = {trial.number: trial for trial in plan.trials}
-        self._agenda = Agenda(plan.trials, plan.flow, plan.questions)
-        self._detection = recall_detection(plan, ())
-        self._matching = Matching(plan.matching, plan.trials) if plan.matching else None
+        self.paper = paper = _Paper(records)
         answered = [one for one in records if one.event == events.QuestionAnswered.event]
-        self._is_apart = any(one.data.get("sha256") for one in answered)
+        is_apart = any(one.data.get("sha256") for one in answered)
+        tape: Any = _Tape(paper)
+        stimuli: Any = defaultdict(lambda: None)
+        scales: Any = defaultdict(lambda: Scale("", "", "", ""))
+        keep = tape.keep if is_apart else None
+        self._session = Session(plan, tape, paper, stimuli=stimuli, scales=scales, keep=keep)
 
     def follow(self) -> None:
         """Follow the journal to its end."""
@@ -269,28 +266,16 @@ class _Rerun:
             if not issubclass(kind, (events.SessionBegun, *_ANY, *events.REPAIRS)):
                 if not is_open:
                     raise ValueError(f"holds {kind.event!r}, and the session was not opened again")
-                kind, is_open = self._lead(), False
+                with suppress(_Over):
+                    self._session.lead()
+                kind, is_open = events.find_kind(paper.records[-1].event), False
             else:
                 event = paper.truth[len(paper.records)].content
                 paper.take()
-                advance(self._agenda, event, self._trials)
+                self._session.take(event)
                 is_open = issubclass(kind, _OPENING) or (is_open and issubclass(kind, _KEEPING))
             if kind.event in _AFTER or kind is events.SessionBegun:
                 state = kind.event
-
-    def _lead(self) -> type[events.SessionEvent]:
-        """Lead the participant as far as the journal goes."""
-        tape: Any = _Tape(self.paper)
-        stimuli: Any = defaultdict(lambda: None)
-        scales: Any = defaultdict(lambda: Scale("", "", "", ""))
-        tasks = {task.protocol: task for task in self._plan.tasks}
-        setup = Setup(
-            tape, stimuli, scales, self.paper, self._plan.flow, self._detection, self._matching,
-            self._plan.questions, Schedule(tasks), tape.keep if self._is_apart else None,
-        )  # fmt: skip
-        with suppress(_Over):
-            follow_agenda(setup, self._agenda, self._trials)
-        return events.find_kind(self.paper.records[-1].event)
 
 
 def _check_place(kind: type[events.SessionEvent], state: str) -> None:

@@ -1,7 +1,11 @@
-"""Verbs that run sessions and look after them: run, simulate, status, note, collect, withdraw."""
+"""Verbs of the lab: sessions (run, simulate, status, note, collect, withdraw) and the rig (calibrate, doctor)."""
 
+import math
 import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from shlex import join
 from typing import TYPE_CHECKING, Annotated
@@ -10,8 +14,13 @@ from cyclopts import Parameter
 
 from feel321.study.commands import shared
 from feel321.study.commands.shared import File, Json, Participant, Rehearsals, Seed, within
+from feel321.study.folder import StudyFolder, require_study
 
 if TYPE_CHECKING:
+    from feel321.study.actuator.certificate import Certificate
+    from feel321.study.actuator.mixer import Frames
+    from feel321.study.actuator.rig import Rig
+    from feel321.study.session.engine import Outcome
     from feel321.study.session.ports import Place
 
 
@@ -52,34 +61,45 @@ def run(  # noqa: PLR0913 - one parameter per option
     """
     if seed is not None and not simulated:
         shared.refuse_use("--seed needs --simulate-participant; people have no seed")
-    from feel321.study.lab import Visit, run_participant
+    from feel321.study.lab import run_participant
+    from feel321.study.sessions import read_room
 
     opened = shared.open_study(study)
-    visit = Visit(
-        participant,
-        windowed=windowed,
-        screen=screen,
-        device=device,
-        simulated=simulated,
-        seed=seed,
-        accept_rig=accept_rig,
-        lsl=lsl,
-    )
     folder = replace(opened.folder, is_rehearsal=rehearse)
     log = SessionLog(participant, folder.rig)
     try:
-        outcome = run_participant(folder, visit, now=opened.now, on_step=log.note, warn=shared.warn)
+        outcome = run_participant(
+            replace(
+                read_room(folder, now=opened.now),
+                windowed=windowed,
+                screen=screen,
+                device=device,
+                accept_rig=accept_rig,
+                lsl=lsl,
+            ),
+            participant,
+            simulated=simulated,
+            seed=seed,
+            on_step=log.note,
+            warn=shared.warn,
+        )
     except (Exception, KeyboardInterrupt) as error:
         log.end(type(error).__name__)
         raise
     log.end(outcome.stopped)
     if outcome.stopped:
         return 1
-    shared.echo(f"{participant}: all {outcome.total} done")
+    shared.echo(f"{participant}: {_count(outcome)}")
     return 0
 
 
 LINE = 60  # characters of the line that says what is left; it is overwritten by the next
+
+
+def _count(place: "Place | Outcome") -> str:
+    """Count answered trials, and those that were given up apart from them."""
+    gone = f", {place.given_up} given up" if place.given_up else ""
+    return f"{place.answered} of {place.total} answered{gone}"
 
 
 @dataclass(slots=True)
@@ -92,7 +112,7 @@ class SessionLog:
 
     def note(self, place: "Place") -> None:
         """Print where the session is now."""
-        done = f"{self.participant}: {place.done} of {place.total} done"
+        done = f"{self.participant}: {_count(place)}"
         if self.place is None:
             shared.echo(f"{done} so far")
         self.place = place
@@ -115,7 +135,7 @@ class SessionLog:
         if self.place is not None and reason:
             # A change of the rig is accepted only once.
             words = [word for word in shared.CALL.get().words if word != "--accept-rig"]
-            done = f"{self.place.done} of {self.place.total} done (aborted: {reason})"
+            done = f"{_count(self.place)} (aborted: {reason})"
             command = join(["feel321", *words])
             shared.echo(f"{self.participant}: {done}; resume with: {command}", err=True)
 
@@ -196,8 +216,7 @@ def note(
 ) -> None:
     """Write an experimenter's note into a participant's journal.
 
-    One line between two openings of a session or after its end, never while it runs. It is kept like all that was
-    recorded: never edited, removed only by withdraw, and it changes the seal of audit. Write no names. Shown by
+    One line, not while a session runs. It is never edited, and removed only by withdraw: write no names. Shown by
     status --notes.
 
     Example: feel321 note my-study --participant p07 "left coil rattled in block 2"
@@ -218,10 +237,9 @@ def collect(
 ) -> int:
     """Collect the sessions of other stations into one study.
 
-    FROM are study folders, mounted or copied; they are only read. Plans, journals and what was delivered are
-    verified before and after the copy; a longer journal takes the place of one that it continues. Sessions that
-    conflict with the study are refused by name; nothing is overwritten. If interrupted, run it again; a second run
-    copies nothing. A participant who withdrew at one station is withdrawn here.
+    FROM are study folders, mounted or copied; they are only read. A longer journal takes the place of one that it
+    continues; sessions that conflict with the study are refused by name. A participant who withdrew at one station is
+    withdrawn here.
 
     Example: feel321 collect /mnt/lab2/my-study /media/usb/my-study --into my-study
 
@@ -299,3 +317,248 @@ def withdraw(
         "Copies that feel321 did not make must be removed by hand"
     )
     return 0
+
+
+Device = Annotated[
+    str | None,
+    Parameter(
+        metavar="NAME", help="Device instead of the rig's: its name, or a unique part of it."
+    ),
+]
+
+ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
+"""Fields of a coil's certificate that are too long to print."""
+
+RATE_HZ = 48000.0
+"""At which a device is tried that belongs to no study."""
+
+
+def calibrate(
+    study: File = Path(),
+    /,
+    *,
+    device: Device = None,
+    manual: Annotated[tuple[str, ...], Parameter(metavar="NAME=GAIN")] = (),
+    redesign: bool = False,
+    as_json: Json = False,
+) -> int:
+    """Measure the coils of the rig and make filters for them.
+
+    Plays sweeps on one coil after another, recorded by the sensor of rig.toml; proposes the band and the gain of each
+    filter, says what that costs in level, and asks; verifies the filters by playing through them, and stores a
+    certificate, of which run uses the newest that is valid. Ctrl-C stops; coils that are done are kept. The exit code
+    is 1 if the limits of [calibration] in rig.toml are not met; run then does not use the certificate.
+
+    Example: feel321 calibrate my-study
+
+    Parameters
+    ----------
+    manual
+        Type a gain instead of measuring, in m/s² at full scale; once for each.
+    redesign
+        Design anew from the stored sweeps, without playing.
+    """
+    from feel321.study.actuator.certificate import draw_certificate, write_certificate
+
+    folder = require_study(study)
+    rig, rate_hz = _find_rig(folder, device) if folder.rig.is_file() else (None, RATE_HZ)
+    if rig is None:
+        raise FileNotFoundError(
+            f"{folder.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
+        )
+    if manual:
+        made = _type_gains(rig, manual, rate_hz=rate_hz)
+    else:
+        made = _measure(folder, rig, rate_hz=rate_hz, redesign=redesign)
+    certificate = write_certificate(made, folder.path)
+    if not manual:  # of which there is nothing to see
+        draw_certificate(certificate, folder.calibration / certificate.id)
+    facts = asdict(certificate) | {"passed": certificate.passed}
+    for coil in facts["coils"].values():
+        for name in ARRAYS & coil.keys():
+            del coil[name]
+    verdict = "passed" if certificate.passed else "did not pass"
+    until = f"valid until {certificate.expires_utc[:10]}"
+    lines = [f"certificate {certificate.id} ({certificate.method}): {verdict}; {until}"]
+    shared.print_facts(facts, [*lines, *shared.lay_facts(facts["coils"])], as_json=as_json)
+    for failure in certificate.failures:
+        shared.warn(failure)
+    return 0 if certificate.passed else 1
+
+
+def _find_rig(study: StudyFolder, device: str | None) -> tuple["Rig | None", float]:
+    """Read the study's rig, or make one of two coils for a device; None if neither is named."""
+    from feel321.study.actuator.rig import LimitsTable, Rig, read_rig, take_device
+    from feel321.study.settings.read import read_settings
+
+    rate_hz = read_settings(study.settings).rig.rate_hz if study.settings.is_file() else RATE_HZ
+    if study.rig.is_file():
+        rig = read_rig(study.rig)
+    elif device is not None:
+        rig = Rig(limits=LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0))
+    else:
+        return None, rate_hz
+    return (rig if device is None else take_device(rig, device)), rate_hz
+
+
+def _type_gains(rig: "Rig", manual: Sequence[str], *, rate_hz: float) -> "Certificate":
+    from feel321.study.actuator.certificate import make_manual
+    from feel321.study.actuator.render import find_directions
+
+    typed = {}
+    for text in manual:
+        name, _, gain = text.rpartition("=")
+        try:
+            typed[name.strip()] = float(gain)
+        except ValueError:
+            shared.refuse_use(f"--manual must be NAME=GAIN, such as 'left coil=12.5', got {text!r}")
+    directions, _ = find_directions(rig)
+    return make_manual(rig, typed, directions=directions, made=datetime.now(UTC), rate_hz=rate_hz)
+
+
+def _measure(folder: StudyFolder, rig: "Rig", *, rate_hz: float, redesign: bool) -> "Certificate":
+    from feel321.study.actuator.calibrate import KEPT, Calibration
+    from feel321.study.actuator.rig import FILE_DEVICE
+
+    own = Calibration(
+        rig=rig,
+        rate_hz=rate_hz,
+        made=datetime.now(UTC),
+        folder=folder.path,
+        agree=partial(agree, folder, rig),
+    )
+    if redesign:
+        return own.redesign()
+    if rig.device.name == FILE_DEVICE:
+        raise ValueError(
+            'rig.toml plays to files, which no sensor measures; name a device there or with --device ("simulated" '
+            "needs no hardware), or type gains with --manual"
+        )
+    if kept := own.find_runs(within=KEPT):
+        shared.echo(f"kept, as they were measured a while ago: {', '.join(kept)}", err=True)
+    with shared.show_progress("s of sweeps") as own.on_step:
+        return own.run()
+
+
+def agree(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> bool:
+    """Show what is proposed for each coil and what it costs in level; ask, where somebody is there."""
+    lines = []
+    for coil in proposed.coils.values():
+        low, high = coil.band_hz
+        least = coil.target * 10 ** (-coil.gain_db / 20)
+        lines.append(
+            f"{coil.name}: flat from {low:.0f} to {high:.0f} Hz within {coil.largest_db:.1f} dB by a gain of up to "
+            f"{coil.gain_db:.0f} dB; so it plays up to {coil.target:.3g} m/s², and {least:.2g} where it is weakest"
+        )
+    shared.echo("\n".join([*lines, *_find_cost(folder, rig, proposed)]), err=True)
+    if sys.stdin is None or not sys.stdin.isatty():
+        return True
+    shared.echo(
+        "Enter takes it; n stops: --redesign tries other settings of [calibration].", err=True
+    )
+    return not sys.stdin.readline().strip().lower().startswith("n")
+
+
+def _find_cost(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> Iterator[str]:
+    """Say how much of full scale the study's stimuli take through the filters, and how weak the weakest then is."""
+    from feel321.stimuli.sets.manifest import read_stimuli
+    from feel321.study.actuator.render import find_rig_problems
+    from feel321.study.settings.read import read_settings
+
+    if not (folder.stimuli.is_dir() and folder.settings.is_file()):
+        yield "the study has no stimuli yet; build them, and calibrate --redesign says how strong they come"
+        return
+    stimuli, own = read_stimuli(folder.stimuli), read_settings(folder.settings).rig
+    sounds: dict[str, Frames] = {}
+    find_rig_problems(
+        rig,
+        stimuli,
+        rate_hz=own.rate_hz,
+        full_scale_m_s2=own.full_scale_m_s2,
+        certificate=proposed,
+        sounds=sounds,
+    )
+    peaks = {name: float(abs(sound).max()) for name, sound in sounds.items()}
+    strongest = max(peaks, key=peaks.__getitem__)
+    headroom_db = -20 * math.log10(max(peaks[strongest], 1e-9))
+    told = f"headroom {headroom_db:.1f} dB"
+    if headroom_db < 0:
+        told = f"{-headroom_db:.1f} dB too much: lower gain or headroom in study.toml by that, and build again"
+    yield f"strongest stimulus {strongest}: {peaks[strongest]:.0%} of full scale, {told}"
+    levels = {one.stimulus_id: one.sensation_level_db for one in stimuli}
+    felt = {name: level for name, level in levels.items() if math.isfinite(level)}
+    if felt:
+        weakest = min(felt, key=felt.__getitem__)
+        left_db = felt[weakest] + min(headroom_db, 0.0)
+        yield f"weakest stimulus {weakest}: {left_db:.1f} dB over the threshold of feeling"
+
+
+def doctor(
+    study: File | None = None,
+    /,
+    *,
+    device: Device = None,
+    seconds: Annotated[float, within(0, 3600)] = 5.0,
+    as_json: Json = False,
+) -> int:
+    """Test the rig: list devices, measure latency and jitter, try each coil.
+
+    Plays quiet pulses on every actuator, through the same stream as in a session, and, with a sensor, a probe on each
+    coil: by name, what is dead, inverted, swapped, loose or too strong against the certificate or rig.toml, a wrong
+    rate, a missing channel, hum; the exit code is then 1. Without a study, --device names what to play on.
+
+    Example: feel321 doctor my-study --seconds 10
+
+    Parameters
+    ----------
+    seconds
+        Duration of the pulse train, in s.
+    """
+    from feel321.study.actuator.doctor import examine_rig, probe_coils, survey_devices
+    from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE
+
+    rig, rate_hz = _find_rig(StudyFolder(Path()) if study is None else require_study(study), device)
+    if rig is not None and rig.device.name == FILE_DEVICE:
+        rig = None
+    is_simulated = rig is not None and rig.device.name == SIMULATED_DEVICE
+    devices, found, known = [] if is_simulated else survey_devices(), None, None
+    faults: list[str] = []
+    if rig is not None and seconds:
+        with shared.show_progress("pulses") as progress:
+            found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
+        if rig.sensor is not None and found["n_failed"] < found["n_pulses"]:
+            certificate, faults = _find_certificate(study, rig, rate_hz=rate_hz)
+            probes, hum = probe_coils(rig, certificate, rate_hz=rate_hz)
+            faults += [f"{name}: {one['fault']}" for name, one in probes.items() if one["fault"]]
+            faults += [hum] if hum else []
+            known = {
+                "certificate": certificate and certificate.id,
+                "coils": probes,
+                "faults": faults,
+            }
+    facts = {"devices": devices, "examination": found, "rig": known}
+    lines = [*shared.lay_facts(facts)]
+    if found is None:
+        lines.append("nothing was played; name a device with --device, or in the study's rig.toml")
+    shared.print_facts(facts, lines, as_json=as_json)
+    if found is not None and found["is_program"]:
+        shared.warn(
+            f"{found['device']}: a program plays it (a sound server, say), which may convert the rate and copy "
+            "channels to others without notice; name the card itself, or give it as many channels as the rig has"
+        )
+    if found is not None and found["error"]:
+        shared.warn(found["error"])
+    if faults:
+        raise OSError("\n".join(faults))
+    return 1 if found is not None and (found["n_failed"] or found["n_underruns"]) else 0
+
+
+def _find_certificate(
+    study: Path | None, rig: "Rig", *, rate_hz: float
+) -> tuple["Certificate | None", list[str]]:
+    """Find the certificate that run would use; what is wrong with those that are there."""
+    from feel321.study.actuator.certificate import judge_certificates, list_certificates
+
+    if study is None or not list_certificates(study):
+        return None, []
+    return judge_certificates(study, rig, now=datetime.now(UTC), rate_hz=rate_hz)

@@ -25,7 +25,7 @@ from feel321.files import (
     write_bytes,
     write_text,
 )
-from feel321.protocols.questions import find_question
+from feel321.protocols.texts import find_question
 from feel321.records import to_json_value
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import list_info, list_labels
@@ -45,7 +45,7 @@ from feel321.study.settings.read import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.protocols.questions import Question
+    from feel321.protocols.texts import Question
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
@@ -65,7 +65,8 @@ FLAGS = {"rejected", "simulated", "training_passed"}
 OWN = {
     "participant_id": "participant of this dataset; numbers are unrelated to the order of participation",
     "state": "how the session ended: finished, or running if it was interrupted",
-    "done": "trials judged",
+    "answered": "trials with an answer that counts",
+    "given_up": "trials given up after all attempts",
     "total": "trials planned",
     "age_band": "age in years, in bands of five years; 80 or more as one",
     "rig": "rig of the sessions, numbered",
@@ -277,7 +278,7 @@ def describe(
 
 def _write_participants(people: Sequence[Person], path: Path) -> None:
     """Write the table of participants; without days, design numbers and names of rigs."""
-    first = ("participant_id", "simulated", "state", "sessions", "done", "total")
+    first = ("participant_id", "simulated", "state", "sessions", "answered", "given_up", "total")
     last = ("training_passed", "rig", "calibration")
     factors = dict.fromkeys(name for one in people for name in one.progress.groups)
     measured = dict.fromkeys(name for one in people for name in one.progress.thresholds)

@@ -1,28 +1,23 @@
-"""Simulated participants: what stimuli feel like to them, how they answer, and what they remember.
+"""Simulated participants: what stimuli feel like to them, how they answer, and who they are.
 
-A stimulus is a point with six coordinates: its spectral match (the one that the model names, cut to 0..1), its
-temporal match, and the four of its `Percept`. The original and the real surface are the point where nothing is lost.
+A stimulus is a point with two coordinates: its spectral match (the one that the model names, cut to 0..1) and its
+temporal match. The original and the real surface are the point where nothing is lost.
 
 - *Realism* is the weighted sum of the coordinates.
-- *Distance* is the weighted sum of six differences (city block). Those of a percept are between the two vibrations
-  themselves, as they differ from each other. Level counts in both directions: what is stronger than the reference is as
-  different as what is weaker by the same number of dB. A match is known to the original only: by its weight, stimuli
-  lie on a line, not in a space, and two that match equally well feel the same.
+- *Distance* is the weighted sum of the differences (city block). A match is known to the original only: two that match
+  equally well feel the same.
 - *Similarity* is the top of the scale less the distance from the reference: what is identical is worth full marks.
 - Of two, the one *more like the reference* is at the smaller distance from it, and the *preferred* one feels more real.
 
-A *bonus*, for surprises that no metric knows, is the model's term for the stimulus's reducer, plus the model's
-`vector_magnitude` times how far the stimulus follows its recording's vector magnitude, plus what the recording's own
-slopes on the two matches (`slope_sd`) make of what the stimulus lacks of each. It is added to realism, and to
+A *bonus*, for surprises that no metric knows, is the model's term for the stimulus's reducer, plus what the recording's
+own slopes on the two matches (`slope_sd`) make of what the stimulus lacks of each. It is added to realism, and to
 similarity with anything but itself; it is taken from the distance to the original and to the real surface. It leaves
 the distance between two reduced stimuli as it is. What comes out is cut to the scale only when it is answered.
 
 Answer of a careful one: sure + gain * (percept - sure) + bias + shift + noise, cut to 0..100. Sure is the end of the
 slider that means the same to everybody: the bottom, or the top (identical) where similarity is asked for. The shift is
 what order and fatigue do; bias, gain and size of the noise are the participant's own. In a lapse any answer is as
-likely as another.
-
-Of the bad raters,
+likely as another. Of the bad raters,
 
 - a *straight-liner* leaves the marker about where they like it, or always makes the same choice;
 - a *random clicker* answers anything, and fast;
@@ -48,12 +43,12 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Annotated, Any
 from zlib import crc32
 
-from feel321.protocols.blocks import INTERVALS
 from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Trial
 from feel321.stimuli.sets.recipe import ORIGINAL
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
-from feel321.study.observer.percepts import Percept, compare_percepts, read_percepts
+from feel321.study.minutes import UNHURRIED
 from feel321.study.settings.about import ObserverTable
 from feel321.study.settings.fields import one_of
 
@@ -62,7 +57,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+    from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.session.ports import Tone
     from feel321.study.settings.schema import Settings
 
@@ -75,11 +70,10 @@ RANDOM_CLICKER, SCALE_REVERSER = "random_clicker", "scale_reverser"
 KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)  # kinds of raters
 STRAIGHT_SD = 1.0  # standard deviation, in points, of the place to which a straight-liner returns
 
-UNHURRIED, HASTY = (0.7, 0.4), (-0.7, 0.3)
-"""Mean and standard deviation of the logarithm of a response time in s: medians of 2.0 s and 0.5 s."""
+HASTY = (-0.7, 0.3)
+"""Mean and standard deviation of the logarithm of a hasty response time in s: a median of 0.5 s."""
 
 SPECTRAL = ("spectral_match_bounded", "spectral_match")  # that participants may feel by
-STROKE_S = 3.0  # duration of a stroke over the real surface
 HALF = 0.5  # of the favourites of straight-liners, who then choose the first
 NODES = 15  # of the quadrature over gains and over sizes of the noise
 
@@ -93,12 +87,6 @@ class ObserverModel(ObserverTable):
 
     spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]
     detection_curve: Annotated[str, one_of(THRESHOLDS)] = CONTACTOR
-
-    @property
-    def uses_percepts(self) -> bool:
-        """Whether stimuli must be read and measured before this observer can feel them."""
-        weights = self.threshold_spectral, self.envelope, self.level, self.direction
-        return any((*weights, self.vector_magnitude))
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,13 +238,12 @@ class Location:
 
     spectral: float
     temporal: float
-    percept: Percept
     bonus: float = 0.0
     is_reduced: bool = True
 
 
-UNCHANGED = Percept(0.0, 0.0, 0.0)  # the percept of the original
-REAL = Location(1.0, 1.0, UNCHANGED, is_reduced=False)  # the original and the real surface
+REAL = Location(1.0, 1.0, is_reduced=False)
+"""The original and the real surface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,50 +282,34 @@ class Touch:
     """The sense of touch that all simulated participants share; without a seed, recordings have the mean slopes."""
 
     model: ObserverModel
-    percepts: Mapping[str, Percept]
     seed: int | None = None
 
     def locate(self, stimulus: Stimulus | None) -> Location:
         """Find where a stimulus lies; None is the real surface."""
         if stimulus is None:
             return REAL
-        percept = self.percepts.get(stimulus.stimulus_id) if self.model.uses_percepts else UNCHANGED
-        if percept is None:
-            raise ValueError(
-                f"stimulus {stimulus.stimulus_id}: its percept is missing, and the observer's weights need it; "
-                "read the percepts of the whole set first"
-            )
         match: float = getattr(stimulus, self.model.spectral_metric)
         if math.isnan(match):  # the bounded match may be unknown
             match = stimulus.spectral_match
-        spectral, is_reduced = min(max(match, 0.0), 1.0), stimulus.reducer != ORIGINAL
+        spectral, temporal = min(max(match, 0.0), 1.0), stimulus.temporal_match
+        if stimulus.reducer == ORIGINAL:
+            return Location(spectral, temporal, is_reduced=False)
         bonus = self.model.reducers.get(stimulus.reducer, 0.0)
-        bonus += self.model.vector_magnitude * percept.vector_magnitude
-        for slope, match in zip(
-            self._draw_slopes(stimulus), (spectral, stimulus.temporal_match), strict=True
-        ):
-            bonus += slope * (match - 1)  # a perfect match feels the same in every recording
-        return Location(
-            spectral, stimulus.temporal_match, percept, bonus if is_reduced else 0.0, is_reduced
-        )
+        if self.seed is not None and self.model.slope_sd:
+            import numpy as np
 
-    def _draw_slopes(self, stimulus: Stimulus) -> tuple[float, float]:
-        """Draw how far a recording's slopes on the two matches differ from those of the model."""
-        import numpy as np
-
-        if self.seed is None or not self.model.slope_sd:
-            return 0.0, 0.0
-        rng = np.random.default_rng([self.seed, crc32(stimulus.recording.encode())])
-        first, second = rng.normal(0, self.model.slope_sd, 2)
-        return float(first), float(second)
+            rng = np.random.default_rng([self.seed, crc32(stimulus.recording.encode())])
+            first, second = rng.normal(0, self.model.slope_sd, 2)
+            # A perfect match feels the same in every recording.
+            bonus += float(first) * (spectral - 1)
+            bonus += float(second) * (temporal - 1)
+        return Location(spectral, temporal, bonus)
 
     def feel(self, point: Location) -> float:
         """Compute how real something feels, in points, not cut to the scale."""
-        model, lost = self.model, point.percept
+        model = self.model
         gained = model.intercept + model.spectral * point.spectral + model.temporal * point.temporal
-        missed = model.threshold_spectral * lost.spectral_db + model.envelope * lost.envelope
-        missed += model.direction * lost.direction
-        return gained - missed + model.level * lost.level_db + point.bonus
+        return gained + point.bonus
 
     def measure_shortfall(self, point: Location, reference: Location) -> float:
         """Compute how far something falls short of a reference, in points; what is better than it is below 0."""
@@ -347,17 +318,9 @@ class Touch:
 
     def measure_distance(self, first: Location, second: Location) -> float:
         """Compute how different two feel, in points."""
-        model, apart = self.model, compare_percepts(first.percept, second.percept)
         bonus = 0.0 if first.is_reduced and second.is_reduced else first.bonus + second.bonus
-        return (
-            model.spectral * abs(first.spectral - second.spectral)
-            + model.temporal * abs(first.temporal - second.temporal)
-            + model.threshold_spectral * apart.spectral_db
-            + model.envelope * apart.envelope
-            + abs(model.level * apart.level_db)
-            + model.direction * apart.direction
-            - bonus
-        )
+        spectral = self.model.spectral * abs(first.spectral - second.spectral)
+        return spectral + self.model.temporal * abs(first.temporal - second.temporal) - bonus
 
     def judge(self, experience: Experience, judgement: Judgement) -> float:
         """Compute the slider answer, uncut, of a participant without bias, noise or habit, in points."""
@@ -399,11 +362,10 @@ NUMBERED = re.compile(r"sim(\d+)")
 
 @dataclass(frozen=True, slots=True)
 class Casting:
-    """The simulated participants of a study: their model, seed and percepts."""
+    """The simulated participants of a study: their model and seed."""
 
     model: ObserverModel
     seed: int
-    percepts: Mapping[str, Percept]
 
 
 def make_model(settings: Settings) -> ObserverModel:
@@ -416,10 +378,9 @@ def make_model(settings: Settings) -> ObserverModel:
     )
 
 
-def cast_observers(settings: Settings, stimuli: StimulusSet, *, seed: int) -> Casting:
+def cast_observers(settings: Settings, *, seed: int) -> Casting:
     """Set the observer parameters of a study's simulated participants, by the spectral match that it declares."""
-    model = make_model(settings)
-    return Casting(model, seed, read_percepts(stimuli) if model.uses_percepts else {})
+    return Casting(make_model(settings), seed)
 
 
 def find_person(participant: str) -> int:

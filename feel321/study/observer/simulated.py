@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import math
 from math import ceil, floor
-from types import MappingProxyType
 from typing import TYPE_CHECKING
 from zlib import crc32
 
-from feel321.protocols.blocks import ASKED, DB_PER_POINT, FIRST, INTERVALS, MIDDLE, SECOND
-from feel321.protocols.threshold import predict_correct
+from feel321.protocols.threshold import (
+    ASKED,
+    DB_PER_POINT,
+    FIRST,
+    INTERVALS,
+    MIDDLE,
+    SECOND,
+    predict_correct,
+)
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Page, Part, Scale, Trial
 from feel321.stimuli.thresholds import acceleration_threshold, to_db
+from feel321.study.minutes import STROKE_S
 from feel321.study.observer.model import (
     HALF,
     RANDOM_CLICKER,
     REAL,
     STRAIGHT_LINER,
-    STROKE_S,
     Experience,
     Location,
     ObserverModel,
@@ -43,9 +49,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from feel321.protocols.questions import Answer, Question
+    from feel321.protocols.texts import Answer, Question
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.observer.percepts import Percept
     from feel321.study.session.journal import Record
 
 SIMULATED_TEXT = "simulated"
@@ -61,16 +66,10 @@ class Participant:
     """
 
     def __init__(
-        self,
-        model: ObserverModel,
-        *,
-        seed: int,
-        number: int,
-        percepts: Mapping[str, Percept] = MappingProxyType({}),
-        elapsed_s: float = 0.0,
+        self, model: ObserverModel, *, seed: int, number: int, elapsed_s: float = 0.0
     ) -> None:
         self._seed, self._number, self._time_s = seed, number, elapsed_s
-        self.touch = Touch(model, percepts, seed)
+        self.touch = Touch(model, seed)
         self.rater = draw_rater(model, self._draw_from(0, 0))
         self.before: Experience | None = None
 

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from itertools import count
 from typing import Any, Literal
 
-from feel321.protocols.questions import MOST_LETTERS, Question
-from feel321.protocols.questions import Answer as QuestionAnswer
+from feel321.protocols.texts import MOST_LETTERS, Question
+from feel321.protocols.texts import Answer as QuestionAnswer
 from feel321.protocols.trial import RATING_RANGE, Scale, Trial
 from feel321.study.keys import PLAY, USUAL, KeysTable
 from feel321.study.screen.sheet import Target

@@ -3,7 +3,7 @@
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import replace
 
-from feel321.protocols.questions import MOST_LETTERS, Question
+from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.protocols.trial import Judgement, Page, Part, Scale, Trial
 from feel321.study.keys import label_key
 from feel321.study.screen import sheet as ui

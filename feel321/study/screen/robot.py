@@ -8,7 +8,7 @@ lost is pressed again, and one too many is taken back.
 from collections.abc import Callable, Mapping
 from math import copysign
 
-from feel321.protocols.questions import Question
+from feel321.protocols.texts import Question
 from feel321.protocols.trial import MATCHING, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import KEY_NAMES, PLAY, USUAL, KeysTable

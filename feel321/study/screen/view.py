@@ -5,8 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from feel321.protocols.questions import Question
-from feel321.protocols.texts import PageText
+from feel321.protocols.texts import PageText, Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import USUAL, KeysTable, label_key, label_keys, label_prompts

@@ -1,30 +1,20 @@
-"""The engine: one participant works through a plan, against ports only.
+"""The engine: one participant works through a plan, against ports only; nothing else knows the rules of a session.
 
-A session is resumed by replaying its journal: trials that were rated are done, all else is asked again.
-
-Every event is in the journal before the next one may happen.
+A session is resumed by replaying its journal: trials that were rated are done, all else is asked again. Every event is
+in the journal before the next one may happen. An audit runs the same engine on what a journal says was done.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from itertools import takewhile
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
-from feel321.protocols.blocks import (
-    ATTENUATION_DB,
-    FIRST,
-    INTERVALS,
-    MIDDLE,
-    SECOND,
-    Detection,
-    Matching,
-)
-from feel321.protocols.questions import Question, find_question
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.texts import read_scales
+from feel321.protocols.texts import Question, find_question, read_scales
+from feel321.protocols.threshold import ATTENUATION_DB, INTERVALS, MIDDLE, SECOND, Matching
 from feel321.protocols.trial import (
     FREE,
     MATCHING,
@@ -34,77 +24,49 @@ from feel321.protocols.trial import (
     Page,
     Part,
     Scale,
+    Task,
     Trial,
 )
-from feel321.records import Result
 from feel321.study.session import events, ports
-from feel321.study.session.codes import list_by_code
-from feel321.study.session.pace import TIMED_OUT, TOLD_S, Schedule, find_gap
-from feel321.study.session.plan import Plan, advance, recall_detection, replay
+from feel321.study.session.events import TIMED_OUT
+from feel321.study.session.plan import Plan, advance, list_by_code, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
-    from feel321.protocols.agenda import Agenda
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.session.journal import Journal, Records
+    from feel321.study.session.journal import Journal
 
-KeepAnswer = Callable[[str, int, float | str | None], str]
+Keep = Callable[[str, int, float | str | None], str]
 """Keeps a personal answer (question, occasion, value) apart, and returns its salted digest."""
 
-DEVICE_ERRORS = 2
-"""Failures of the device in a row after which the experimenter is called: trials must not be used up on a dead one."""
-
-DEVICE_FLAGS = frozenset({"device_error", "not_delivered"})
-"""Flags of attempts in which the device failed."""
-
-
-@dataclass(frozen=True, slots=True)
-class Setup:
-    """The setup of a session: the presenter, the stimuli by blind code, the scales, the journal and the rules.
-
-    detection, matching: the blocks of thresholds and of matched strength, where there are any. keep: keeps personal
-    answers apart from the journal.
-    """
-
-    presenter: Presenter
-    stimuli: Mapping[str, Stimulus]
-    scales: Mapping[str, Scale]
-    journal: Journal
-    flow: Flow
-    detection: Detection | None = None
-    matching: Matching | None = None
-    questions: Sequence[Question] = ()
-    pace: Schedule = field(default_factory=Schedule)
-    keep: KeepAnswer | None = None
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Outcome(Result):
-    """The end of a session.
-
-    Parameters
-    ----------
-    done, total : int
-        Trials of the main phase that are done, and all of them.
-    stopped : str
-        Reason why it ended before its end; empty if it did not.
-
-    Examples
-    --------
-    >>> from feel321 import study
-    >>> study.Outcome(12, 48, "had enough").done
-    12
-    """
-
-    done: int
-    total: int
-    stopped: str = ""
-
+LOST_IN_A_ROW = 2
+"""Trials that the device lost in a row, after which the experimenter is called, and again after each one more."""
 
 BROKEN = "the device failed twice in a row; check it, then resume"
 """Reason of a session that ends while the experimenter is called."""
+
+TOLD_S = 1.0
+"""How long the page that time was up stays: a key that came just too late must not take it away unread."""
+
+LATE_S = 0.1
+"""A trial that begins so much after it was due moves the schedule; what is less does not add up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The end of a session: trials of the main phase that were answered, given up, and all; why it ended early."""
+
+    answered: int
+    total: int
+    stopped: str = ""
+    given_up: int = 0
+
+    @property
+    def done(self) -> int:
+        """Trials that need no further attempt."""
+        return self.answered + self.given_up
 
 
 class Stopped(Exception):  # noqa: N818 - nothing went wrong
@@ -122,192 +84,32 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
     stimuli: StimulusSet,
     journal: Journal,
     scales: Mapping[str, Scale] | None = None,
-    on_step: Callable[[Place], None] | None = None,
-    keep: Callable[[str, int, float | str | None], str] | None = None,
+    on_step: Callable[[Place], None] = lambda _: None,
+    keep: Keep | None = None,
 ) -> Outcome:
-    """Present all trials that are not done yet.
+    """Present all trials that are not done yet; where the session was broken off, the same call goes on.
 
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    presenter : Presenter
-        Shows, plays and passes on the acts of the participant.
-    stimuli : StimulusSet
-        The stimuli that the plan names by codes.
-    journal : Journal
-        The record of the session, open.
-    scales : mapping of str to Scale, optional
-        The texts by name of scale; English by default.
-    on_step : callable, optional
-        Called with the progress of the session, at its opening and after every page and trial.
-    keep : callable, optional
-        Keeps personal answers apart from the journal: takes question, occasion and value, returns a salted digest.
-
-    Returns
-    -------
-    Outcome
-        Whether it came to its end; if not, the same call goes on.
+    scales: texts by name of scale, English by default. on_step: called with the progress at the opening and after every
+    page and trial. keep: keeps personal answers apart from the journal.
     """
-    setup = Setup(
-        presenter,
-        list_by_code(stimuli, seed=plan.seed),
-        read_scales() if scales is None else scales,
-        journal,
-        plan.flow,
-        recall_detection(plan, journal.records),
-        Matching(plan.matching, plan.trials) if plan.matching else None,
-        plan.questions,
-        Schedule({task.protocol: task for task in plan.tasks}),
-        keep,
+    by_code = list_by_code(stimuli, seed=plan.seed)
+    scales = read_scales() if scales is None else scales
+    session = Session(
+        plan, presenter, journal, stimuli=by_code, scales=scales, keep=keep, on_step=on_step
     )
-    agenda = replay(plan, journal.records)
+    stopped = ""
     try:
-        trials = {trial.number: trial for trial in plan.trials}
-        follow_agenda(setup, agenda, trials, on_step=on_step or (lambda _: None))
+        session.lead()
     except Stopped as stop:
-        reason, time_s = stop.args
-        journal.write(events.SessionAborted(reason, time_s))
-        return Outcome(agenda.done, agenda.total, reason)
+        stopped, time_s = stop.args
+        journal.write(events.SessionAborted(stopped, time_s))
     except BaseException as error:
         if journal.is_open:
             words = f"{type(error).__name__}: {error}".removesuffix(": ")
             journal.write(events.SessionAborted(words, journal.records.find_elapsed()))
         raise
-    return Outcome(agenda.done, agenda.total)
-
-
-def follow_agenda(
-    setup: Setup,
-    agenda: Agenda,
-    trials: Mapping[int, Trial],
-    *,
-    on_step: Callable[[Place], None] = lambda _: None,
-) -> None:
-    """Lead a participant from step to step to the end; some pages come in between, aside from the agenda."""
-    journal, pace = setup.journal, setup.pace
-    aside = Page("ready") if isinstance(agenda.ask(), Trial) and _is_back(journal.records) else None
-    fault, failures = "", 0
-    while True:
-        place = Place(agenda.done, agenda.total, fault=fault)
-        on_step(place)
-        if (step := aside or agenda.ask()) is None:
-            break
-        if isinstance(step, Trial):
-            place = replace(place, attempt=agenda.attempt(step.number), fault="")
-            conduct_trial(step, place, setup)
-        else:
-            pace.restart()
-            _conduct_page_or_question(step, replace(place, fault=""), setup, fault=fault)
-            aside, fault = None, ""
-        # The agenda is told what is on the disk, by the same words as when a session is resumed.
-        event = journal.records[-1].content
-        advance(agenda, event, trials, detection=setup.detection)
-        if not isinstance(step, Trial):
-            continue
-        flags: Sequence[str] = getattr(event, "flags", ())
-        pace.timed_out = TIMED_OUT in flags
-        if pace.timed_out and not pace.is_fixed(step):
-            aside = Page(TIMED_OUT, TOLD_S)
-        failures = 0 if DEVICE_FLAGS.isdisjoint(flags) else failures + 1
-        if failures >= DEVICE_ERRORS:  # once called, the experimenter is called after each one more
-            aside, fault = Page("call_us", by="experimenter"), _find_device_fault(setup, flags)
-            journal.write(events.DeviceFailed(fault, journal.records.find_elapsed()))
-    if not journal.records.has(events.SessionFinished):
-        journal.write(events.SessionFinished(agenda.done, agenda.given_up))
-
-
-def _is_back(records: Records) -> bool:
-    """Whether the session was resumed, and nothing was shown since."""
-    opening = {kind.event for kind in (*events.OPENING, events.WarmUpBegun)}
-    recent = takewhile(lambda record: record.event in opening, reversed(records))
-    return any(record.event == events.SessionResumed.event for record in recent)
-
-
-def _find_device_fault(setup: Setup, flags: Iterable[str]) -> str:
-    """Find what was wrong with the last playback."""
-    played = list(setup.journal.records.find(events.PartPlayed))
-    last = played[-1] if played else None
-    found = last and (last.error or events.find_loss(last.delivered, setup.flow))
-    return found or ", ".join(flags)
-
-
-def _conduct_page_or_question(page: Page, place: Place, setup: Setup, *, fault: str) -> None:
-    try:
-        if question := find_question(setup.questions, page):
-            conduct_question(question, place, setup)
-        else:
-            conduct_page(page, place, setup)
-    except Stopped as stop:
-        if fault:
-            raise Stopped(BROKEN, stop.args[1]) from None
-        raise
-
-
-def conduct_page(page: Page, place: Place, setup: Setup) -> None:
-    """Show a page until it is left, and at least as long as it must be shown."""
-    act = _read_page(page, place, setup)
-    setup.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
-
-
-def _read_page(page: Page, place: Place, setup: Setup) -> ports.Confirm:
-    while True:
-        act = setup.presenter.show_page(page, place)
-        if isinstance(act, ports.Abort):
-            raise Stopped(act.reason, act.time_s)
-        if isinstance(act, ports.Pause):
-            continue  # Nothing is felt on a page, so there is nothing to pause.
-        if act.response_time_s >= page.least_s:
-            return act
-        setup.presenter.refuse("too_early", ())
-
-
-def conduct_question(question: Question, place: Place, setup: Setup) -> None:
-    """Show a question until it is answered, or left open where that is allowed."""
-    asked = setup.journal.records.find(events.QuestionAnswered)
-    occasion = 1 + sum(answered.question == question.name for answered in asked)
-    place = replace(place, attempt=occasion)
-    while True:
-        act = setup.presenter.show_question(question, place)
-        if isinstance(act, ports.Abort):
-            raise Stopped(act.reason, act.time_s)
-        if isinstance(act, ports.Pause):
-            continue
-        value = act.values.get(question.name)
-        value = (value or None) if isinstance(value, str | None) else float(value)
-        if not (fault := question.find_fault(value)):
-            break
-        parts = (question.describe_range(),) if fault == "out_of_range" else ()
-        setup.presenter.refuse(fault, parts)
-    answered = events.QuestionAnswered(
-        question.name, occasion, value, question.personal, act.time_s, act.response_time_s
-    )
-    if question.personal and setup.keep:
-        sha256 = setup.keep(question.name, occasion, value)
-        answered = replace(answered, value=None, sha256=sha256)
-    setup.journal.write(answered)
-
-
-def conduct_trial(trial: Trial, place: Place, setup: Setup) -> None:
-    """Run one attempt at a trial, and again after each pause."""
-    while True:
-        attempt = _Attempt(setup, trial, place.attempt)
-        setup.presenter.show_trial(trial, find_scale(trial, setup.scales), place)
-        setup.journal.write(events.TrialShown(*attempt.key))
-        if setup.pace.timed_out:
-            setup.presenter.refuse(TIMED_OUT, ())  # where no page may come between
-        try:
-            if trial.timing != FREE:
-                attempt.begin()
-            if not attempt.is_spoiled():
-                attempt.answer()
-        except _Paused as pause:
-            setup.journal.write(events.TrialPaused(*attempt.key, pause.args[0]))
-            setup.pace.restart()
-            time_s = _read_page(Page("pause"), place, setup).time_s
-            setup.journal.write(events.TrialContinued(*attempt.key, time_s))
-        else:
-            return
+    agenda = session.agenda
+    return Outcome(agenda.answered, agenda.total, stopped, agenda.given_up)
 
 
 def find_choices(protocol: str) -> tuple[str, ...]:
@@ -316,100 +118,251 @@ def find_choices(protocol: str) -> tuple[str, ...]:
     return own[protocol] if protocol in own else PROTOCOLS[protocol].choices
 
 
-def find_scale(trial: Trial, scales: Mapping[str, Scale]) -> Scale:
-    """Find the scale of a trial, with the others that it asks for."""
-    further = tuple(scales[j.scale] for j in trial.judgements if j.scale)
-    return replace(scales[trial.scale], further=further) if further else scales[trial.scale]
+def find_gap(trial: Trial, task: Task | None, flow: Flow) -> float:
+    """Find the silence before each part of a trial, in s."""
+    if trial.timing == FREE:
+        return 0.0
+    return flow.gap_s if task is None or task.gap_s is None else task.gap_s
+
+
+class Session:
+    """A session under way: the agenda, the blocks and the schedule, as the journal so far leaves them.
+
+    stimuli: by blind code.
+    """
+
+    def __init__(  # noqa: PLR0913 - all that a session needs
+        self,
+        plan: Plan,
+        presenter: Presenter,
+        journal: Journal,
+        *,
+        stimuli: Mapping[str, Stimulus],
+        scales: Mapping[str, Scale],
+        keep: Keep | None = None,
+        on_step: Callable[[Place], None] = lambda _: None,
+    ) -> None:
+        self.plan, self.flow, self.journal = plan, plan.flow, journal
+        self.presenter, self.stimuli, self.scales = presenter, stimuli, scales
+        self.agenda = replay(plan, journal.records)
+        self.trials = {trial.number: trial for trial in plan.trials}
+        self.tasks = {task.protocol: task for task in plan.tasks}
+        self.detection = recall_detection(plan, journal.records)
+        self.matching = Matching(plan.matching, plan.trials) if plan.matching else None
+        self._keep, self._on_step = keep, on_step
+        # Onsets are fixed from one trial to the next of a task; a page, a pause or an opening begins a new schedule.
+        self._due_s: float | None = None
+        self._paced = ""
+        self._is_late = False
+
+    def take(self, event: events.SessionEvent) -> None:
+        """Take an event of the journal: what comes next follows from it."""
+        advance(self.agenda, event, self.trials, detection=self.detection)
+
+    def lead(self) -> None:
+        """Lead the participant from step to step to the end; some pages come in between, aside from the agenda."""
+        agenda, records, fault = self.agenda, self.journal.records, ""
+        self._restart()
+        opening = {kind.event for kind in (*events.OPENING, events.WarmUpBegun)}
+        recent = takewhile(lambda record: record.event in opening, reversed(records))
+        is_back = any(record.event == events.SessionResumed.event for record in recent)
+        aside = Page("ready") if is_back and isinstance(agenda.ask(), Trial) else None
+        while True:
+            place = Place(agenda.answered, agenda.total, given_up=agenda.given_up)
+            self._on_step(replace(place, fault=fault))
+            if (step := aside or agenda.ask()) is None:
+                break
+            if isinstance(step, Trial):
+                place = replace(place, attempt=agenda.attempt(step.number))
+                aside, fault = self._conduct_trial(step, place)
+                continue
+            self._restart()
+            try:
+                self._conduct_page(step, place)
+            except Stopped as stop:
+                if fault:
+                    raise Stopped(BROKEN, stop.args[1]) from None
+                raise
+            self.take(records[-1].content)
+            aside, fault = None, ""
+        if not records.has(events.SessionFinished):
+            self.journal.write(events.SessionFinished(agenda.done, agenda.given_up))
+
+    def _restart(self) -> None:
+        self._due_s, self._is_late = None, False
+
+    # Pages.
+
+    def _conduct_page(self, page: Page, place: Place) -> None:
+        """Show a page or a question until it is left, and record that."""
+        if (question := find_question(self.plan.questions, page)) is not None:
+            self._ask(question, place)
+            return
+        act = self._read_page(page, place)
+        self.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
+
+    def _read_page(self, page: Page, place: Place) -> ports.Confirm:
+        while True:
+            act = self.presenter.show_page(page, place)
+            if isinstance(act, ports.Abort):
+                raise Stopped(act.reason, act.time_s)
+            if isinstance(act, ports.Confirm):
+                if act.response_time_s >= page.least_s:
+                    return act
+                self.presenter.refuse("too_early", ())
+
+    def _ask(self, question: Question, place: Place) -> None:
+        """Show a question until it is answered, or left open where that is allowed."""
+        asked = self.journal.records.find(events.QuestionAnswered)
+        occasion = 1 + sum(answered.question == question.name for answered in asked)
+        while True:
+            act = self.presenter.show_question(question, replace(place, attempt=occasion))
+            if isinstance(act, ports.Abort):
+                raise Stopped(act.reason, act.time_s)
+            if isinstance(act, ports.Pause):
+                continue
+            value = act.values.get(question.name)
+            value = (value or None) if isinstance(value, str | None) else float(value)
+            if not (fault := question.find_fault(value)):
+                break
+            parts = (question.describe_range(),) if fault == "out_of_range" else ()
+            self.presenter.refuse(fault, parts)
+        sha256, personal = "", question.personal
+        if personal and self._keep:
+            sha256, value = self._keep(question.name, occasion, value), None
+        times = (act.time_s, act.response_time_s)
+        answered = events.QuestionAnswered(question.name, occasion, value, personal, *times, sha256)
+        self.journal.write(answered)
+
+    # Trials.
+
+    def _conduct_trial(self, trial: Trial, place: Place) -> tuple[Page | None, str]:
+        """Run an attempt at a trial; returns the page that comes before the next step, and what the device says."""
+        attempt = self._run_attempt(trial, place)
+        # The agenda is told what is on the disk, by the same words as when a session is resumed.
+        event: Any = self.journal.records[-1].content
+        self.take(event)
+        self._is_late = TIMED_OUT in event.flags
+        if self.agenda.lost_in_a_row >= LOST_IN_A_ROW:
+            fault = attempt.describe_faults(self.flow)
+            self.journal.write(events.DeviceFailed(fault, self.journal.records.find_elapsed()))
+            return Page("call_us", by="experimenter"), fault
+        task = self.tasks.get(trial.protocol)
+        is_fixed = task is not None and task.onset_s is not None
+        return (Page(TIMED_OUT, TOLD_S) if self._is_late and not is_fixed else None), ""
+
+    def _run_attempt(self, trial: Trial, place: Place) -> events.Attempt:
+        """Run one attempt at a trial, and again after each pause."""
+        further = tuple(self.scales[j.scale] for j in trial.judgements if j.scale)
+        scale = self.scales[trial.scale]
+        scale = replace(scale, further=further) if further else scale
+        while True:
+            attempt = _Attempt(self, trial, place.attempt)
+            self.presenter.show_trial(trial, scale, place)
+            self.journal.write(events.TrialShown(*attempt.key))
+            if self._is_late:
+                self.presenter.refuse(TIMED_OUT, ())  # where no page may come between
+            try:
+                if trial.timing != FREE:
+                    self._begin(attempt)
+                if not attempt.is_spoiled():
+                    attempt.answer()
+            except _Paused as pause:
+                self.journal.write(events.TrialPaused(*attempt.key, pause.args[0]))
+                self._restart()
+                time_s = self._read_page(Page("pause"), place).time_s
+                self.journal.write(events.TrialContinued(*attempt.key, time_s))
+            else:
+                return attempt
+
+    def _begin(self, attempt: _Attempt) -> None:
+        """Play all parts for the first time, not before the trial is due, and note when the next one is."""
+        trial, task = attempt.trial, self.tasks.get(attempt.trial.protocol)
+        due_s = self._due_s if trial.protocol == self._paced else None
+        if due_s is not None:
+            self.journal.write(events.TrialScheduled(*attempt.key, due_s))
+        attempt.play(trial.parts, due_s=due_s)
+        first = attempt.parts.get(trial.parts[0].name)
+        if first is None or task is None or task.onset_s is None:
+            return
+        onset_s = first.requested_s if first.onset_s is None else first.onset_s
+        begun_s = onset_s if due_s is None or onset_s > due_s + LATE_S else due_s
+        self._paced, self._due_s = trial.protocol, begun_s + task.onset_s
 
 
 class _Attempt(events.Attempt):
     """One attempt at a trial, with the participant in front of it."""
 
-    def __init__(self, setup: Setup, trial: Trial, number: int) -> None:
+    def __init__(self, session: Session, trial: Trial, number: int) -> None:
         super().__init__(trial, number)
-        self._setup = setup
+        self._session, self._presenter, self._flow = session, session.presenter, session.flow
+        self._write = session.journal.write
         self._time_s, self._marker = 0.0, MIDDLE
-
-    def begin(self) -> None:
-        """Play all parts for the first time, not before the trial is due."""
-        pace = self._setup.pace
-        if (due_s := pace.find_due(self.trial)) is not None:
-            self._setup.journal.write(events.TrialScheduled(*self.key, due_s))
-        self.play(self.trial.parts, due_s=due_s)
-        first = self.parts.get(self.trial.parts[0].name)
-        if first is not None:
-            onset_s = first.requested_s if first.onset_s is None else first.onset_s
-            pace.note_onset(self.trial, onset_s)
 
     def play(self, parts: Iterable[Part], *, due_s: float | None = None) -> None:
         """Play the parts in order, until one is cut short."""
-        presenter, due = self._setup.presenter, {} if due_s is None else {"due_s": due_s}
-        task = self._setup.pace.tasks.get(self.trial.protocol)
-        gap_s = find_gap(self.trial, task, self._setup.flow)
-        own: Mapping[str, ports.Tone | ports.Scaled] = {}
-        if self._setup.detection and self.trial.protocol == THRESHOLD:
-            gap_s, own = self._present(self._setup.detection)
-        elif self._setup.matching and self.trial.protocol == MATCHING:
-            own = self._scale(self._setup.matching)
+        due = {} if due_s is None else {"due_s": due_s}
+        gap_s, own = self._prepare()
         for part in parts:
             kind = events.PartPlayed
             if part.stimulus_id is None:
-                playback, kind = presenter.prompt(part), events.SurfaceStroked
+                playback, kind = self._presenter.prompt(part), events.SurfaceStroked
             else:
-                stimulus = own.get(part.name) or self._setup.stimuli[part.stimulus_id]
-                playback = presenter.play(part, stimulus, gap_s=gap_s, **due)
+                stimulus = own.get(part.name) or self._session.stimuli[part.stimulus_id]
+                playback = self._presenter.play(part, stimulus, gap_s=gap_s, **due)
                 due = {}
             felt: dict[str, Any] = {
                 one.name: getattr(playback, one.name) for one in fields(events.Played)
             }
             played = kind(*self.key, part.name, **felt)
-            self._setup.journal.write(played)
+            self._write(played)
             self.follow(played)
             self._time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
             _stop_or_pause(playback.act)
-            is_lost = events.find_loss(played.delivered, self._setup.flow)
-            if playback.error or not playback.completed or is_lost:
+            faults = events.find_faults(played, self._flow)
+            if not playback.completed or not events.UNANSWERABLE.isdisjoint(faults):
                 return
 
-    def _present(self, detection: Detection) -> tuple[float, dict[str, ports.Tone]]:
-        """Decide what the intervals hold, and record it; the gap before each of them comes first."""
-        block, shown = detection.block, detection.present(self.trial)
-        frequency_hz = detection.find_frequency(self.trial)
-        presented = events.TonePresented(*self.key, frequency_hz, shown.interval, shown.level_db)
-        self._setup.journal.write(presented)
-        levels = dict.fromkeys(INTERVALS) | {INTERVALS[shown.interval - 1]: shown.level_db}
-        return block.gap_s, {
-            name: ports.Tone(frequency_hz, block.duration_s, level)
-            for name, level in levels.items()
-        }
-
-    def _scale(self, matching: Matching) -> dict[str, ports.Scaled]:
-        """Set the second to the level of the marker."""
-        offset_db = matching.find_offset(self.trial.number, self._marker)
-        offsets_db = {FIRST: 0.0, SECOND: offset_db}
-        return {
+    def _prepare(self) -> tuple[float, Mapping[str, ports.Tone | ports.Scaled]]:
+        """Find the silence before each part, and what parts hold that are no stimuli of the set as they are."""
+        session, trial = self._session, self.trial
+        if session.detection and trial.protocol == THRESHOLD:
+            block, shown = session.detection.block, session.detection.present(trial)
+            frequency_hz = session.detection.find_frequency(trial)
+            what = (shown.interval, shown.level_db)
+            self._write(events.TonePresented(*self.key, frequency_hz, *what))
+            levels = dict.fromkeys(INTERVALS) | {INTERVALS[shown.interval - 1]: shown.level_db}
+            return block.gap_s, {
+                name: ports.Tone(frequency_hz, block.duration_s, level)
+                for name, level in levels.items()
+            }
+        gap_s = find_gap(trial, session.tasks.get(trial.protocol), self._flow)
+        if not session.matching or trial.protocol != MATCHING:
+            return gap_s, {}
+        offset_db = session.matching.find_offset(trial.number, self._marker)
+        return gap_s, {
             part.name: ports.Scaled(
-                self._setup.stimuli[part.stimulus_id], offsets_db[part.name] - ATTENUATION_DB
+                session.stimuli[str(part.stimulus_id)],
+                (offset_db if part.name == SECOND else 0.0) - ATTENUATION_DB,
             )
-            for part in self.trial.parts
-            if part.stimulus_id is not None
+            for part in trial.parts
         }
 
     def is_spoiled(self) -> bool:
         """Check whether the attempt can no longer be answered, and record its end if so."""
-        flags = self.list_flags(flow=self._setup.flow)
-        if events.ENDS_UNANSWERED.isdisjoint(flags):
+        flags = self.list_flags(flow=self._flow)
+        if events.UNANSWERABLE.isdisjoint(flags):
             return False
-        self._setup.journal.write(events.TrialSpoiled(*self.key, flags, self._time_s))
+        self._write(events.TrialSpoiled(*self.key, flags, self._time_s))
         return True
 
     def answer(self) -> None:
         """Wait for the answer, or for another end of the attempt."""
-        limit_s = self._setup.pace.find_limit(self.trial)
+        task = self._session.tasks.get(self.trial.protocol)
+        limit_s = task.answer_timeout_s if task else None
         limit = {} if limit_s is None else {"limit_s": limit_s}
         while True:
-            act = self._setup.presenter.wait(**limit)
-            match act:
+            match act := self._presenter.wait(**limit):
                 case ports.Feel():
                     self._replay(act)
                     if self.is_spoiled():
@@ -420,8 +373,8 @@ class _Attempt(events.Attempt):
                     if self._accept(act):
                         return
                 case ports.TimedOut():
-                    flags = [*self.list_flags(flow=self._setup.flow), TIMED_OUT]
-                    self._setup.journal.write(events.TrialSpoiled(*self.key, flags, act.time_s))
+                    flags = [*self.list_flags(flow=self._flow), TIMED_OUT]
+                    self._write(events.TrialSpoiled(*self.key, flags, act.time_s))
                     return
                 case _:
                     _stop_or_pause(act)
@@ -434,26 +387,26 @@ class _Attempt(events.Attempt):
             self._refuse(act, "unknown_part", [act.part])
         else:
             if not {part.name for part in parts} & set(self.list_unfelt()):
-                self._setup.journal.write(events.PartReplayed(*self.key, act.part, act.time_s))
+                self._write(events.PartReplayed(*self.key, act.part, act.time_s))
             self.play(parts)
 
     def _move(self, act: ports.Move) -> None:
-        if act.part in self.trial.judged and self._find_valid({act.part: act.value}):
-            moved = events.MarkerMoved(*self.key, act.part, float(act.value), act.time_s)
-            self._setup.journal.write(moved)
-            self.follow(moved)
-            self._marker = moved.value
-        else:
+        if act.part not in self.trial.judged or not self._find_valid({act.part: act.value}):
             self._refuse(act, "unknown_part", [act.part])
+            return
+        moved = events.MarkerMoved(*self.key, act.part, float(act.value), act.time_s)
+        self._write(moved)
+        self.follow(moved)
+        self._marker = moved.value
 
     def _accept(self, act: ports.Confirm) -> bool:
         """Record the answer, unless something was not felt or not answered."""
-        flow, valid = self._setup.flow, self._find_valid(act.values)
+        valid = self._find_valid(act.values)
         if unfelt := self.list_unfelt():
             return self._refuse(act, "not_felt", unfelt)
         if missing := [part for part in self.trial.judged if part not in valid]:
             return self._refuse(act, "not_answered", missing)
-        flags = self.list_flags(response_time_s=act.response_time_s, flow=flow)
+        flags = self.list_flags(response_time_s=act.response_time_s, flow=self._flow)
         values = {part: act.values[part] for part in self.trial.judged}
         rated = events.TrialRated(
             *self.key,
@@ -461,9 +414,9 @@ class _Attempt(events.Attempt):
             response_time_s=act.response_time_s,
             time_s=act.time_s,
             flags=flags,
-            rejected=not set(flow.reject).isdisjoint(flags),
+            rejected=not set(self._flow.reject).isdisjoint(flags),
         )
-        self._setup.journal.write(rated)
+        self._write(rated)
         return True
 
     def _find_valid(self, values: Mapping[str, float | str]) -> set[str]:
@@ -478,8 +431,8 @@ class _Attempt(events.Attempt):
         self, act: ports.Feel | ports.Move | ports.Confirm, reason: str, parts: Iterable[str] = ()
     ) -> bool:
         names = list(parts)
-        self._setup.journal.write(events.ActRefused(*self.key, reason, names, act.time_s))
-        self._setup.presenter.refuse(reason, tuple(names))
+        self._write(events.ActRefused(*self.key, reason, names, act.time_s))
+        self._presenter.refuse(reason, tuple(names))
         return False
 
 

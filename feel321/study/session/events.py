@@ -11,7 +11,7 @@ from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
-from feel321.protocols.trial import MATCHING
+from feel321.protocols.trial import DEVICE_FLAGS, FLAGS, LOST, MATCHING, SPOILED, VALID
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -163,7 +163,7 @@ class SessionAborted(SessionEvent, event="aborted"):
 
 
 class DeviceFailed(SessionEvent, event="device_failed"):
-    """The device failed too often in a row; the experimenter is called."""
+    """The device lost several trials in a row; the experimenter is called."""
 
     reason: str
     time_s: float
@@ -230,7 +230,15 @@ class TonePresented(AttemptEvent, event="tone"):
 
 @dataclass(frozen=True)
 class Played:
-    """How a part was felt: what the device reports, the engine passes on and the journal keeps; see `Playback`."""
+    """How a part was felt: what the device reports, the engine passes on and the journal keeps.
+
+    onset_s: None where it never began. underruns, clipped: times that the device ran dry within the samples, samples
+    that were limited. completed: it was felt to its end. error: the device's message, empty if all went well. measured:
+    by the device, such as its own time of the onset. dac_source: `device` where that time is its own, `latency` where
+    it is the time of the request and the latency. delivered: what the hand got, compared with what was asked
+    (`actuator.delivered`); with `coherence` if a sensor measured it, without if a certificate predicts it. fault: what
+    is wrong with the rig by this playback, with the coil named (`actuator.faults`).
+    """
 
     requested_s: float
     onset_s: float | None
@@ -242,6 +250,7 @@ class Played:
     dac_source: str = ""
     delivered: Mapping[str, float] = field(default_factory=dict)
     delivered_sha256: str = ""
+    fault: str = ""
 
     def __post_init__(self) -> None:
         """Take numbers of the many kinds that devices report, and none of those that are none."""
@@ -270,7 +279,7 @@ class PartPlayed(Played, PartEvent, event="played"):
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        optional = {"measured", "dac_source", "delivered", "delivered_sha256"}
+        optional = {"measured", "dac_source", "delivered", "delivered_sha256", "fault"}
         return {k: v for k, v in super().to_data().items() if v or k not in optional}
 
 
@@ -354,11 +363,16 @@ def read_event(name: str, data: Mapping[str, Any]) -> SessionEvent:
     try:
         event: SessionEvent = _make_reader(find_kind(name).event)(data)
     except (TypeError, ValueError) as error:
-        listed: Any = getattr(error, "errors", list)()  # pydantic's own
-        faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in listed]
-        reason = [*faults, error][0]
+        reason = describe_fault(error)
         raise ValueError(f"is not a {name!r} record as feel321 writes it ({reason})") from None
     return event
+
+
+def describe_fault(error: Exception) -> str:
+    """Describe why an entry was refused: the first fault of pydantic's list, or the error itself."""
+    listed: Any = getattr(error, "errors", list)()
+    faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in listed]
+    return [*faults, str(error)][0]
 
 
 @cache
@@ -377,6 +391,40 @@ def _make_reader(name: str) -> Callable[[Mapping[str, Any]], Any]:
         return validate(to_json(data), strict=True)
 
     return read
+
+
+# What became of an attempt, and why: one model for the engine, the participant's page, status and analysis.
+
+
+TIMED_OUT = "timed_out"
+"""Flag of an attempt that was not answered in time, and key of the page that says so."""
+
+UNANSWERABLE = frozenset({"device_error", "not_delivered", "not_felt"})
+"""Flags with which an attempt is over: the device failed, or what is felt only once was cut short."""
+
+
+def judge(event: TrialRated | TrialSpoiled, flow: Flow) -> str:
+    """Judge how an attempt ended: `VALID`, `LOST` by the device, or `SPOILED` by the participant."""
+    if isinstance(event, TrialRated) and not event.rejected:
+        return VALID
+    causes = {*flow.reject, *UNANSWERABLE, TIMED_OUT}.intersection(event.flags)
+    return SPOILED if causes.isdisjoint(DEVICE_FLAGS) else LOST
+
+
+def find_faults(played: Played, flow: Flow) -> dict[str, str]:
+    """Find what the device did wrong in a playback: flag -> words for the experimenter."""
+    faults = {
+        "device_error": played.error,
+        "not_delivered": played.fault or find_loss(played.delivered, flow),
+        "underrun": f"the device ran dry ({played.underruns} underruns): close other programs, switch off power "
+        "saving, or raise latency_s in rig.toml"
+        if played.underruns
+        else "",
+        "clipped": f"{played.clipped} samples were limited: lower the level, or raise the limit in rig.toml"
+        if played.clipped
+        else "",
+    }
+    return {flag: words for flag, words in faults.items() if words}
 
 
 @dataclass(slots=True)
@@ -404,8 +452,6 @@ class Attempt:
                     self.parts[event.part] = event
             case MarkerMoved() if self.trial.protocol == MATCHING:
                 self.parts.pop(event.part, None)
-            case TrialPaused():
-                self.parts.clear()  # It is shown again before it goes on.
 
     def list_unfelt(self) -> list[str]:
         """List the parts that were not felt to their end."""
@@ -414,22 +460,20 @@ class Attempt:
 
     def list_flags(self, *, response_time_s: float | None = None, flow: Flow) -> list[str]:
         """List what was wrong with the attempt, with its answer or without."""
-        parts = self.parts.values()
-        faults = {
-            "underrun": any(part.underruns for part in parts),
-            "clipped": any(part.clipped for part in parts),
-            "device_error": any(part.error for part in parts),
-            "not_delivered": any(find_loss(part.delivered, flow) for part in parts),
-            "too_fast": response_time_s is not None and response_time_s < flow.min_response_s,
-            "not_felt": self.trial.timing == "strict"
-            and response_time_s is None
-            and bool(self.list_unfelt()),
-        }
-        return [flag for flag, is_fault in faults.items() if is_fault]
+        found = {flag for part in self.parts.values() for flag in find_faults(part, flow)}
+        is_open = response_time_s is None
+        if response_time_s is not None and response_time_s < flow.min_response_s:
+            found.add("too_fast")
+        if is_open and self.trial.timing == "strict" and self.list_unfelt():
+            found.add("not_felt")
+        return [flag for flag in FLAGS if flag in found]
 
-
-ENDS_UNANSWERED = frozenset({"device_error", "not_delivered", "not_felt"})
-"""Flags with which an attempt cannot be answered: the device failed, or what is felt only once was cut short."""
+    def describe_faults(self, flow: Flow) -> str:
+        """Describe for the experimenter by what the device lost the attempt."""
+        causes = {*flow.reject, *UNANSWERABLE}
+        found = [find_faults(part, flow).items() for part in self.parts.values()]
+        words = [words for faults in found for flag, words in faults if flag in causes]
+        return "; ".join(dict.fromkeys(words))
 
 
 def find_loss(delivered: Mapping[str, float], flow: Flow) -> str:

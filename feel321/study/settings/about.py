@@ -30,11 +30,6 @@ class ObserverTable(kinds.TomlTable):
     intercept: kinds.Finite = 10.0
     spectral: kinds.Finite = 45.0
     temporal: kinds.Finite = 35.0
-    threshold_spectral: kinds.Finite = 0.0
-    envelope: kinds.Finite = 0.0
-    level: kinds.Finite = 0.0
-    direction: kinds.Finite = 0.0
-    vector_magnitude: kinds.Finite = 0.0
     reducers: Annotated[dict[str, kinds.Finite], AfterValidator(_check_terms)] = Field(
         default_factory=dict
     )

@@ -15,9 +15,8 @@ from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import Method, find_method, is_given
 from feel321.files import create_text, make_folder, temporary_folder, write_text
 from feel321.names import METRIC_INFO, WRITTEN
-from feel321.protocols.questions import Question, read_ready
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
-from feel321.protocols.texts import MODEL, read_texts
+from feel321.protocols.texts import MODEL, Question, read_ready, read_texts
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import find_format, read_own, read_recording
@@ -28,16 +27,15 @@ from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, 
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
 from feel321.study.folder import TEMPLATES, StudyFolder
-from feel321.study.session.identity import identify_frozen
 from feel321.study.session.journal import digest
+from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import (
     LANGUAGE_FILE,
-    FilesTable,
-    FileTable,
-    SceneTable,
+    SCENE_RATE_HZ,
+    RecordingTable,
     Settings,
     TaskTable,
 )
@@ -53,10 +51,10 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     """
     settings = parse_toml(path, Settings)
     session, home = settings.session, folder or path.parent
-    entries: list[SceneTable | FileTable] = []
+    entries: list[RecordingTable] = []
     for number, entry in enumerate(settings.recordings, start=1):
         try:
-            entries += entry.list_entries(home) if isinstance(entry, FilesTable) else [entry]
+            entries += entry.list_entries(home)
         except (NotImplementedError, ValueError) as error:
             raise ValueError(f"{path.name}: recordings[{number}].files {error}") from None
     try:
@@ -184,7 +182,7 @@ def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
 def list_origins(settings: Settings) -> dict[str, str]:
     """List what recordings were made from: one source, rotated, gives recordings that are not independent."""
     return {
-        entry.title: f"{entry.scene} {entry.seed}" if isinstance(entry, SceneTable) else entry.file
+        entry.title: f"{entry.scene} {entry.seed}" if entry.scene else entry.file or ""
         for entry in settings.recordings
     }
 
@@ -211,22 +209,21 @@ def list_unread(settings: Settings, folder: Path) -> list[Unread]:
     ]
 
 
-def open_entry(
-    entry: SceneTable | FileTable, folder: Path, formats: Mapping[str, str]
-) -> Recording:
+def open_entry(entry: RecordingTable, folder: Path, formats: Mapping[str, str]) -> Recording:
     """Read a recording as its table says."""
-    about = {"name", "interaction", "sample", "picture", "rotation", "scene", "file"}
-    own = entry.model_dump(exclude=about)
-    if isinstance(entry, SceneTable):
-        recording = make_scene(entry.scene, rng=own.pop("seed"), **own)
-    elif method := find_format(folder / entry.file, folder=folder, declared=formats):
+    path = folder / (entry.file or "")
+    own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
+    if entry.scene:
+        length = {"rate_hz": entry.rate_hz or SCENE_RATE_HZ, "duration_s": entry.duration_s}
+        recording = make_scene(entry.scene, rng=entry.seed, **length)
+    elif method := find_format(path, folder=folder, declared=formats):
         if given := [name for name, value in own.items() if value]:
             raise ValueError(
                 f"{given[0]} is for feel321's formats, {method} reads this one; leave it out"
             )
-        recording = read_own(method, folder / entry.file)
+        recording = read_own(method, path)
     else:
-        recording = read_recording(folder / entry.file, **own)
+        recording = read_recording(path, **own)
     return recording if entry.rotation is None else turn_recording(recording, entry.rotation)
 
 
@@ -524,26 +521,3 @@ def _list_groups(
     factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
     for levels in product(*factors.values()):
         yield select_group(items, tasks, dict(zip(factors, levels, strict=True)))
-
-
-def list_remarks(settings: Settings) -> list[str]:
-    """List what is allowed in `study.toml` and may not be meant."""
-    session, stale = settings.session, settings.session.stale
-    warms_up = stale.policy == "warm_up" and stale.after_h is not None
-    remarks = [
-        f"tasks.{name}: has no effect, {name} is not in session.protocols; add it there or remove this"
-        for name in settings.tasks
-        if name not in session.protocols
-    ]
-    if "mushra" in session.protocols and not settings.stimuli.anchors:
-        remarks.append(
-            "stimuli.anchors: false, but a page of mushra should have two anchors (ITU-R BS.1534-3); set it to true"
-        )
-    if warms_up and not session.rehearsal.practice:
-        remarks.append(
-            "session.stale.policy: 'warm_up' needs practice, but session.rehearsal.practice is 0; "
-            "set that to 1 or more, or the policy to 'continue'"
-        )
-    if not session.breaks.rest_s:
-        remarks.append("session.breaks.rest_s: 0 leaves fingertips no rest; 60 s are usual")
-    return remarks

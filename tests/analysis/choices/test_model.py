@@ -11,8 +11,7 @@ import statsmodels.api as sm
 from scipy.optimize import minimize
 
 from feel321 import analysis
-from feel321.analysis.choices.model import fit_votes
-from feel321.analysis.choices.votes import gather_votes
+from feel321.analysis.choices import fit_votes, gather_votes
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis.choices.predict import agree_with_others, predict
-from feel321.analysis.choices.votes import gather_votes
+from feel321.analysis.choices import agree_with_others, gather_votes, predict
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -79,7 +78,7 @@ def test_what_comes_first_changes_no_share(plant: Plant) -> None:
 
 def test_agreement_by_brute_force(plant: Plant) -> None:
     planted = plant(seed=5, participants=7, recordings=3)
-    found = agree_with_others(gather_votes(planted.votes, planted.stimuli))
+    found, _ = agree_with_others(gather_votes(planted.votes, planted.stimuli))
     rows = planted.votes.to_dict("records")
     winners = [r["stimulus_id"] if r["rating"] else r["other_id"] for r in rows]
     for place, row in enumerate(rows):
@@ -96,7 +95,7 @@ def test_agreement_by_brute_force(plant: Plant) -> None:
 
 def test_repeats_of_a_person_are_not_others() -> None:
     votes = vote(("a", "x", "y", 100), ("a", "y", "x", 0), ("b", "x", "y", 0))
-    assert agree_with_others(gather_votes(votes, STIMULI)).tolist() == [0, 0, 0]
+    assert agree_with_others(gather_votes(votes, STIMULI))[0].tolist() == [0, 0, 0]
 
 
 def test_planted_metrics_are_found_and_ranked(plant: Plant) -> None:

@@ -11,9 +11,10 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
+from feel321.analysis.association import correlate
 from feel321.analysis.page import render_words
 from feel321.analysis.report.answer import find_row
-from feel321.analysis.report.choices import compute
+from feel321.analysis.report.pairs import compute_choices as compute
 from feel321.analysis.resampling import Choices
 
 if TYPE_CHECKING:
@@ -165,6 +166,6 @@ def test_choices_beside_ratings_change_no_association(tidy: Callable[..., pd.Dat
     both = pd.concat([rows.assign(other_id=""), votes])
     plain, mixed = (analysis.read_table(given, stimuli) for given in (rows, both))
     first, second = (
-        analysis.tabulate_correlations(table, draws=50, rng=1) for table in (plain, mixed)
+        correlate.tabulate_correlations(table, draws=50, rng=1) for table in (plain, mixed)
     )
     pd.testing.assert_frame_equal(first, second)

@@ -16,9 +16,10 @@ from feel321.study.actuator.certificate import make_manual, write_certificate
 from feel321.study.actuator.rig import read_rig
 from feel321.study.analyze import analyze_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.lab import Visit, run_participant
+from feel321.study.lab import run_participant
 from feel321.study.people import write_roster
 from feel321.study.ratings import write_ratings
+from feel321.study.sessions import read_room
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study
 
@@ -137,7 +138,7 @@ def make_real(path: Path, scripted: Any) -> StudyFolder:
         patch.setenv("DISPLAY", ":99")
         patch.setattr(lab, "find_spec", lambda _: "there")
         patch.setattr(lab, "open_lab", _seat(scripted))
-        run_participant(study, Visit("p01"), now=now)
+        run_participant(read_room(study, now=now), "p01")
     write_ratings(study, read_stimuli(study.stimuli))
     write_roster(study)
     return study
@@ -145,10 +146,10 @@ def make_real(path: Path, scripted: Any) -> StudyFolder:
 
 def _seat(scripted: Any) -> Any:
     @contextmanager
-    def open_presenter(plan: Any, *_: object, lab: Any) -> Iterator[Any]:
+    def open_presenter(plan: Any, *_: object, room: Any) -> Iterator[Any]:
         from feel321.study.lab import _open_output
 
-        with _open_output(plan, lab=lab, clock=perf_counter) as output:
+        with _open_output(plan, room=room, clock=perf_counter) as output:
             presenter = scripted()
 
             def play(_part: Any, stimulus: Any, *, gap_s: float) -> Any:  # noqa: ARG001 - no time for gaps

@@ -73,13 +73,13 @@ def test_killed_in_the_middle_it_resumes_and_is_analysed(
     done = session.count_done()
     code, out, _ = rig.run(study, "sim001", *HAND)
     assert code == 0
-    assert out.startswith(f"sim001: {done} of {TOTAL} done so far\n")
+    assert out.startswith(f"sim001: {done} of {TOTAL} answered so far\n")
     check_whole(study)
     analyze_study(study)
     assert json.loads((study.report / "results.json").read_text(encoding="utf-8"))
     played = [record.data for record in session.records if record.event == "played"]
     assert all(entry["measured"]["n_samples"] == 7200 for entry in played if entry["completed"])
-    assert rig.run(study, "sim001", *HAND) == (0, f"sim001: all {TOTAL} done\n", "")
+    assert rig.run(study, "sim001", *HAND) == (0, f"sim001: {TOTAL} of {TOTAL} answered\n", "")
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_interrupted_it_says_how_to_go_on(
     session.send(number)
     code, _, err = session.finish()
     done = session.count_done()
-    line = f"sim001: {done} of {TOTAL} done (aborted: {reason}); {tell_how_to_go_on(study, 'sim001', *HAND)}"
+    line = f"sim001: {done} of {TOTAL} answered (aborted: {reason}); {tell_how_to_go_on(study, 'sim001', *HAND)}"
     ended = INTERRUPTED if code == 130 else INTERRUPTED.replace("interrupted", "ended by SIGTERM")
     assert (code, err.splitlines()) == (130 if number == signal.SIGINT else 143, [line, ended])
     assert session.records[-1].event == "aborted"
@@ -118,7 +118,7 @@ def test_a_window_that_is_closed_ends_it_for_today(
     code, _, err = session.finish()
     assert code == 1
     assert err.splitlines() == [
-        f"p01: 0 of {TOTAL} done (aborted: the window was closed); "
+        f"p01: 0 of {TOTAL} answered (aborted: the window was closed); "
         + tell_how_to_go_on(study, "p01", "--windowed")
     ]
     assert session.records[-1].data["reason"] == "the window was closed"
@@ -247,7 +247,7 @@ def test_a_person_with_a_pedal_is_interrupted_by_a_crash_and_by_a_dead_server(
     session.press("F10")
     lead_by_keys(session, until=lambda: session.count("finished") == 1)
     code, out, err = session.finish()
-    assert (code, out.splitlines()[-1]) == (0, f"p01: all {TOTAL} done")
+    assert (code, out.splitlines()[-1]) == (0, f"p01: {TOTAL} of {TOTAL} answered")
     assert err.count("check it, then press F10 in the participant's window") == 2
     rated = [record.data for record in session.records if record.event == "rated"]
     assert sorted(entry["trial"] for entry in rated if not entry["rejected"]) == [1, 2, 3, 4]

@@ -101,7 +101,7 @@ def test_a_simulated_participant_finishes_by_keys_alone(
     code, out, err = lab.run(study, "sim001", *HAND)
     assert (code, err) == (0, "")
     total = read_status(study).participants[0].done
-    assert out == f"sim001: 0 of {total} done so far\nsim001: all {total} done\n"
+    assert out == f"sim001: 0 of {total} answered so far\nsim001: {total} of {total} answered\n"
     assert audit_study(study) == []
     assert not study.ratings.exists()
     alone = ask_minds_alone(study, tmp_path / "alone")
@@ -140,9 +140,7 @@ options = ["right", "left", "either"]
 name = "tired"
 kind = "likert"
 question = "How tired is your hand?"
-points = 7
-low = "not at all"
-high = "very tired"
+options = ["not at all", "", "", "", "", "", "very tired"]
 when = "between"
 [[session.questions]]
 name = "words"
@@ -168,7 +166,7 @@ def test_scales_questions_and_choices_are_killed_twice_resumed_and_analysed(
     code, out, err = lab.run(study, "sim001", *HAND)
     assert (code, err) == (0, "")
     # Of each of two recordings three stimuli on scales, three pairs of them, and the pair of reducers beside the first.
-    assert out == f"sim001: {before[-1]} of 14 done so far\nsim001: all 14 done\n"
+    assert out == f"sim001: {before[-1]} of 14 answered so far\nsim001: 14 of 14 answered\n"
     assert audit_study(study) == []
     alone = ask_minds_alone(study, tmp_path / "alone")
     answers = list_answers(study)

@@ -74,12 +74,6 @@ def test_what_is_out_of_range_is_refused() -> None:
         vary(MODEL, spectral_metric="mine")
 
 
-def test_only_weights_on_distances_ask_for_files() -> None:
-    assert not vary(MODEL, fatigue=3.0, order=0.2).uses_percepts
-    for name in ("threshold_spectral", "envelope", "level", "direction", "vector_magnitude"):
-        assert vary(MODEL, **{name: -0.5}).uses_percepts
-
-
 def test_a_rating_is_bias_gain_percept_shift_and_noise() -> None:
     exact = replace(CAREFUL, bias=-4.0, gain=1.5, noise_sd=0.0)
     assert rate_many(exact, 40.0, shift=7.0, n=2).tolist() == [63.0, 63.0]
@@ -92,12 +86,6 @@ def test_a_rating_is_bias_gain_percept_shift_and_noise() -> None:
         pytest.approx(50, abs=0.6),
         pytest.approx(12, rel=0.04),
     )
-
-
-def test_ratings_stay_on_the_scale_and_in_tenths() -> None:
-    ratings = rate_many(replace(CAREFUL, noise_sd=500.0), 50.0)
-    assert (ratings.min(), ratings.max()) == (0.0, 100.0)
-    assert np.array_equal(ratings, ratings.round(1))
 
 
 @pytest.mark.parametrize("lapse_rate", [0.0, 0.05, 0.3])
@@ -147,14 +135,6 @@ def test_choices_follow_the_differencing_model_whatever_the_hand_does_on_a_slide
     assert measured == pytest.approx(differencing(distance / 8.0), abs=0.012)
 
 
-def test_without_noise_any_difference_decides_and_none_is_a_coin() -> None:
-    exact = replace(CAREFUL, noise_sd=0.0)
-    assert share_correct(exact, 0.1, n=100) == 1.0
-    assert share_correct(exact, 0.0, n=4000) == pytest.approx(0.5, abs=0.025)
-    # A weight below 0 can make a distance so; nothing is nearer than what is the same.
-    assert share_correct(exact, -5.0, n=4000) == pytest.approx(0.5, abs=0.025)
-
-
 @pytest.mark.parametrize(
     ("change", "expected"),
     [
@@ -180,13 +160,6 @@ def test_the_expected_rating_is_the_mean_of_many_people(lapse_rate: float) -> No
     given = np.array([[r.rate(p, shift=0, growth=1, rng=rng) for p in percepts] for r in raters])
     error = given.std(axis=0) / np.sqrt(len(given))
     assert np.all(np.abs(given.mean(axis=0) - expect_rating(model, percepts)) < 5 * error)
-
-
-def test_the_ends_of_the_slider_bring_ratings_together() -> None:
-    low, middle, high = expect_rating(MODEL, [0.0, 50.0, 100.0])
-    assert 0 < low < middle < high < 100
-    steady = vary(MODEL, bias_sd=0.0, noise_sd=0.0, gain_sd=0.0)
-    assert expect_rating(steady, [0.0, 30.0, 100.0]) == pytest.approx([0, 30, 100], abs=1e-9)
 
 
 @pytest.mark.parametrize(("apart", "growth"), [(0.0, 1.0), (6.0, 1.0), (12.0, 2.0)])

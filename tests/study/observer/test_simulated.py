@@ -6,16 +6,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from feel321.protocols.trial import SURFACE, Judgement, Page, Part, Scale, Trial
+from feel321.protocols.trial import SURFACE, Judgement, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.model import SPECTRAL, ObserverModel, Touch, identify_observer
-from feel321.study.observer.percepts import Percept
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.journal import Record
 from feel321.study.session.ports import Confirm, Feel, Place
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
     from feel321.study.session.ports import Act
 
@@ -127,23 +126,6 @@ def matches(trials: Iterable[Trial]) -> tuple[list[float], list[float]]:
     return [s.spectral_match for s in felt], [s.temporal_match for s in felt]
 
 
-def test_without_differences_and_noise_the_rating_is_the_percept() -> None:
-    observer = SimulatedObserver(EXACT, seed=1, number=1)
-    for number, (code, stimulus) in enumerate(STIMULI.items(), start=1):
-        percept = 10 + 45 * stimulus.spectral_match + 35 * stimulus.temporal_match
-        assert answer(observer, make_realism(number, code)).values["test"] == pytest.approx(
-            percept, abs=0.051
-        )
-
-
-@pytest.mark.parametrize(("code", "percept"), [("beyond", 10.0), ("above", 55.0)])
-def test_the_spectral_match_is_cut(code: str, percept: float) -> None:
-    assert (
-        answer(SimulatedObserver(EXACT, seed=1, number=1), make_realism(1, code)).values["test"]
-        == percept
-    )
-
-
 def test_planted_weights_on_the_matches_are_recovered() -> None:
     trials = make_main(4000)
     model = vary(
@@ -157,34 +139,6 @@ def test_planted_weights_on_the_matches_are_recovered() -> None:
     )
     found = fit(rate_all(SimulatedObserver(model, seed=1, number=1), trials), *matches(trials))
     assert found == pytest.approx([15.0, 40.0, 25.0], rel=0.06)
-
-
-def test_planted_weights_on_the_distances_are_recovered() -> None:
-    rng = np.random.default_rng(4)
-    percepts = {
-        s.stimulus_id: Percept(rng.uniform(0, 10), rng.uniform(), rng.uniform(-6, 6))
-        for s in STIMULI.values()
-    }
-    trials = make_main(4000)
-    model = vary(
-        MODEL,
-        bias_sd=0.0,
-        gain_sd=0.0,
-        intercept=65.0,
-        spectral=0.0,
-        temporal=0.0,
-        threshold_spectral=3.0,
-        envelope=15.0,
-        level=1.5,
-    )
-    ratings = rate_all(SimulatedObserver(model, seed=1, number=1, percepts=percepts), trials)
-    felt = [percepts[STIMULI[str(trial.parts[0].stimulus_id)].stimulus_id] for trial in trials]
-    columns = (
-        [p.spectral_db for p in felt],
-        [p.envelope for p in felt],
-        [p.level_db for p in felt],
-    )
-    assert fit(ratings, *columns) == pytest.approx([65.0, -3.0, -15.0, 1.5], rel=0.06)
 
 
 def test_participants_differ_by_number_in_bias_gain_and_noise() -> None:
@@ -232,58 +186,6 @@ def test_planted_contrast_is_recovered(order: float) -> None:
     assert intercept == pytest.approx(50 * order, abs=2.0)
 
 
-def test_only_trials_of_the_main_phase_on_the_same_scale_make_contrast() -> None:
-    contrast = vary(EXACT, order=0.5)
-    observer = SimulatedObserver(contrast, seed=1, number=1)
-    alone = [
-        answer(SimulatedObserver(EXACT, seed=1, number=1), t).values["test"] for t in make_main(3)
-    ]
-    first, second, third = make_main(3)
-    assert answer(observer, replace(first, phase="training")).values["test"] == alone[0]
-    assert answer(observer, second).values["test"] == alone[1]
-    assert answer(observer, replace(third, phase="practice")).values["test"] == alone[2]
-    assert answer(observer, third).values["test"] == pytest.approx(
-        alone[2] - 0.5 * (alone[1] - 50), abs=0.1
-    )
-    answer(observer, make_abx(4, "code1"))
-    assert answer(observer, first).values["test"] == alone[0]
-
-
-def test_bad_raters_are_told_from_the_others_by_their_ratings() -> None:
-    trials = make_main(80)
-    percepts = np.array([45.0, 35.0]) @ np.array(matches(trials))
-    model = vary(MODEL, straight_liners=0.25, random_clickers=0.25, scale_reversers=0.25)
-    seen = set()
-    for number in range(1, 41):
-        observer = SimulatedObserver(model, seed=1, number=number)
-        ratings = rate_all(observer, trials)
-        agreement = np.corrcoef(ratings, percepts)[0, 1]
-        seen.add(observer.rater.kind)
-        assert {
-            "normal": agreement > 0.6,
-            "straight_liner": ratings.std() < 2,
-            "random_clicker": abs(agreement) < 0.45 and ratings.std() > 20,
-            "scale_reverser": agreement < -0.6,
-        }[observer.rater.kind]
-    assert len(seen) == 4
-
-
-def test_choices_follow_the_percepts() -> None:
-    observer = SimulatedObserver(vary(EXACT, noise_sd=5.0), seed=1, number=1)
-    correct = {
-        code: np.mean([
-            answer(observer, make_abx(n, code)).values["x"] == "a" for n in range(1, 1001)
-        ])
-        for code in ("original", "near", "far")
-    }
-    # 0.1 of temporal match is 3.5 points, d' = 0.7; the model's proportion correct is tested with the raters.
-    assert correct == {
-        "original": pytest.approx(0.5, abs=0.05),
-        "near": pytest.approx(0.56, abs=0.05),
-        "far": 1.0,
-    }
-
-
 def test_every_slider_of_a_page_is_answered_by_itself() -> None:
     trial = make_mushra(1, ["code1", "original", "far", "code2"])
     values = answer(SimulatedObserver(EXACT, seed=1, number=1), trial).values
@@ -320,14 +222,6 @@ def test_the_real_surface_is_stroked_and_stands_for_the_original() -> None:
     assert observer.prompt(parts[0]).completed
 
 
-def test_what_is_felt_at_will_is_felt_in_order_before_the_answer() -> None:
-    acts = lead(SimulatedObserver(MODEL, seed=1, number=1), make_mushra(1, ["code1", "code2"]))
-    assert [act.part for act in acts[:-1] if isinstance(act, Feel)] == ["reference", "1", "2"]
-    assert isinstance(acts[-1], Confirm)
-    in_order = make_mushra(1, ["code1"], timing="replay")
-    assert len(lead(SimulatedObserver(MODEL, seed=1, number=1), in_order)) == 1
-
-
 def test_what_was_not_felt_is_felt_before_the_same_answer_is_given_again() -> None:
     observer = SimulatedObserver(MODEL, seed=1, number=1)
     confirmed = answer(observer, make_realism(1, "code1"))
@@ -339,12 +233,6 @@ def test_what_was_not_felt_is_felt_before_the_same_answer_is_given_again() -> No
     assert (again.values, again.time_s) == (confirmed.values, pytest.approx(confirmed.time_s + 1.5))
     observer.refuse("no_replay", ())
     assert observer.wait() == again
-
-
-def test_pages_stand_as_long_as_they_must() -> None:
-    observer = SimulatedObserver(MODEL, seed=1, number=1, elapsed_s=100.0)
-    assert observer.show_page(Page("welcome"), Place(0, TOTAL)) == Confirm(100.0, {})
-    assert observer.show_page(Page("rest", 60.0), Place(0, TOTAL)) == Confirm(160.0, {}, 60.0)
 
 
 def test_time_goes_on_by_what_is_felt_and_answered() -> None:
@@ -417,42 +305,6 @@ def test_a_resumed_session_gives_the_answers_and_times_of_an_unbroken_one(
     assert before + rest == whole
 
 
-def test_an_answer_that_did_not_count_is_remembered_and_one_that_was_refused_is_not() -> None:
-    model = vary(EXACT, order=0.5)
-    first, second, third = make_main(3)
-
-    def go_on(tell: Callable[[SimulatedObserver], None]) -> object:
-        observer = SimulatedObserver(model, seed=1, number=1)
-        tell(observer)
-        return answer(observer, third).values
-
-    def be_refused(observer: SimulatedObserver) -> None:
-        answer(observer, first)
-        answer(observer, second)
-        observer.refuse("not_answered", ("test",))
-
-    def recall(observer: SimulatedObserver, records: list[Record]) -> None:
-        observer.recall(records, [first, second, third], stimuli=STIMULI)
-
-    confirmed = Confirm(1.0, {"test": 3.0})
-    after_first = go_on(lambda observer: recall(observer, [record(first, confirmed)]))
-    both = [record(first, confirmed), record(second, confirmed, rejected=True)]
-    after_second = go_on(lambda observer: recall(observer, both))
-    assert go_on(be_refused) == after_first != after_second
-    assert (
-        go_on(lambda observer: [answer(observer, first), answer(observer, second)]) == after_second
-    )
-
-
-def test_percepts_that_are_missing_are_refused_where_they_matter() -> None:
-    observer = SimulatedObserver(vary(MODEL, level=2.0), seed=1, number=1)
-    with pytest.raises(
-        ValueError,
-        match=r"stimulus s1: its percept is missing, and the observer's weights need it; read",
-    ):
-        answer(observer, make_realism(1, "code1"))
-
-
 def test_identity_names_everything_that_answers_depend_on() -> None:
     identity = identify_observer(MODEL, seed=3)
     assert (identity["simulated"], identity["seed"]) == (True, 3)
@@ -461,7 +313,7 @@ def test_identity_names_everything_that_answers_depend_on() -> None:
 
 def test_people_feel_by_the_spectral_match_that_is_declared() -> None:
     stimulus = replace(make_stimulus("s", -3.0, 0.5), spectral_match_bounded=0.25)
-    bounded, raw = (Touch(vary(MODEL, spectral_metric=name), {}) for name in SPECTRAL)
+    bounded, raw = (Touch(vary(MODEL, spectral_metric=name)) for name in SPECTRAL)
     assert bounded.locate(stimulus).spectral == 0.25
     assert raw.locate(stimulus).spectral == 0.0
     assert raw.locate(replace(stimulus, spectral_match=0.5)).spectral == 0.5

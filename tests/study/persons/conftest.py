@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.trial import Page
+from feel321.protocols.trial import SPOILED, VALID, Page
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.numbers import Station, plan_participants
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
@@ -80,7 +80,8 @@ class Lab:
             attempt = agenda.attempt(step.number)
             rated = (step.number, attempt, {"test": 50.0}, 1.5, 1.0, [], rejected)
             journal.write(TrialRated(*rated))
-            agenda.tell_trial(step.number, accepted=not rejected, as_expected=None, time_s=1.0)
+            outcome = SPOILED if rejected else VALID
+            agenda.tell_trial(step.number, outcome, as_expected=None, time_s=1.0)
         if agenda.done == TRIALS and not journal.records.has(SessionFinished):
             journal.write(SessionFinished(TRIALS, 0))
         return journal.path

@@ -6,7 +6,7 @@ import csv
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from feel321.protocols.questions import READY
+from feel321.protocols.texts import READY
 from feel321.study.auditing.study import audit_study
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import withdraw_participant

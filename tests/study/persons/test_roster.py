@@ -28,13 +28,13 @@ def test_one_row_per_participant_by_plan_and_journals(lab: Any, now: Any) -> Non
     withdraw_participant(lab.study, "p03", now=now)
     path = write_roster(lab.study)
     utc = "2026-01-01T12:00:00.000+00:00"
-    columns = "participant,number,simulated,state,sessions,done,total,grip,first_utc,last_utc,training_passed"
-    columns += ",rig,calibration"
+    columns = "participant,number,simulated,state,sessions,answered,given_up,total,grip,first_utc,last_utc"
+    columns += ",training_passed,rig,calibration"
     assert path.read_bytes().decode().split("\r\n") == [
         columns,
-        f"p01,1,false,running,1,0,4,pen,{utc},{utc},,,",
-        f"p02,2,false,released,2,0,4,power,{utc},{utc},,,",
-        f"sim001,1,true,finished,1,4,4,pen,{utc},{utc},,,",
+        f"p01,1,false,running,1,0,0,4,pen,{utc},{utc},,,",
+        f"p02,2,false,released,2,0,0,4,power,{utc},{utc},,,",
+        f"sim001,1,true,finished,1,4,0,4,pen,{utc},{utc},,,",
         "",
     ]
 

@@ -75,6 +75,9 @@ class Confiding:
         act = self.presenter.show_question(question, place)
         return replace(act, values={question.name: SECRET})
 
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.presenter, name)
+
 
 @pytest.fixture
 def planted(smallest: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
@@ -91,14 +94,13 @@ def planted(smallest: StudyFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
     monkeypatch.setattr(tempfile, "tempdir", None)
     monkeypatch.chdir(tmp_path / "cwd")
-    conduct = engine.conduct_question
+    begin = engine.Session.__init__
 
-    def confide(question: Any, place: Any, setup: Any) -> None:
-        is_who = setup.journal.path.parent.name == WHO
-        presenter = Confiding(setup.presenter) if is_who else setup.presenter
-        conduct(question, place, replace(setup, presenter=presenter))
+    def confide(session: Any, plan: Any, presenter: Any, *given: Any, **more: Any) -> None:
+        presenter = Confiding(presenter) if plan.participant == WHO else presenter
+        begin(session, plan, presenter, *given, **more)
 
-    monkeypatch.setattr(engine, "conduct_question", confide)
+    monkeypatch.setattr(engine.Session, "__init__", confide)
     say("simulate", smallest.path, "--participants", 4, "--seed", 3)
     return smallest
 

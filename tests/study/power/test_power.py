@@ -115,18 +115,6 @@ def test_answer_is_for_the_given_slopes_and_one_scale_goes_first(
     assert any("Slopes without --effect" in note for note in found.notes)
 
 
-def test_observers_who_feel_more_than_the_matches_need_given_slopes(
-    built: StudyFolder, tmp_path: Path
-) -> None:
-    shutil.copytree(built.path, tmp_path / "study")
-    study = StudyFolder(tmp_path / "study")
-    study.settings.write_text(built.settings.read_text("utf-8") + "[observer]\nlevel = 1.0\n")
-    with pytest.raises(ValueError, match=r"more than the two matches, .* give one of every metric"):
-        power.set_up(study)
-    given = power.set_up(study, effects=dict.fromkeys(METRICS, 2.0))
-    assert set(given.effects["points"]) == {2.0}
-
-
 def test_a_study_without_stimuli_is_built_first(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match="feel321 build"):
         power.set_up(create_study(tmp_path / "study"))

@@ -23,8 +23,7 @@ from feel321.study.screen.layout import compose
 from feel321.study.screen.presenter import ScreenPresenter
 from feel321.study.screen.view import Hand, View, make_screen_texts
 from feel321.study.screen.window import Window, open_screen
-from feel321.study.session.engine import Setup, Stopped, conduct_page, conduct_trial
-from feel321.study.session.pace import Schedule
+from feel321.study.session.engine import Schedule, Setup, Stopped, conduct_page, conduct_trial
 from feel321.study.session.ports import Place, Playback, Surface
 
 if TYPE_CHECKING:

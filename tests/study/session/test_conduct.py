@@ -144,14 +144,6 @@ def test_what_went_wrong_is_flagged_and_tried_again_by_the_rules(
     assert [(r["flags"], r["rejected"]) for r in rate(lenient)] == [(flags, False)]
 
 
-def test_a_trial_that_stays_bad_is_given_up_and_everything_of_it_is_kept(
-    present: Present, scripted: type
-) -> None:
-    records = present(scripted(playbacks={(1, attempt): [DRY] for attempt in (1, 2, 3)}))
-    assert [r["attempt"] for r in list_events(records, "rated") if r["trial"] == 1] == [1, 2, 3]
-    assert records[-1].data == {"trials": 20, "given_up": 1}
-
-
 @pytest.mark.parametrize("place", [0, 1])
 @pytest.mark.parametrize(
     ("fault", "flag"), [({"underruns": 1}, "underrun"), ({"clipped": 1}, "clipped")]

@@ -11,20 +11,19 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.agenda import Agenda
-from feel321.protocols.blocks import ThresholdBlock
 from feel321.protocols.tasks import make_task
-from feel321.protocols.threshold import PROCEDURES, USUAL
-from feel321.protocols.trial import THRESHOLD, Flow, Page
+from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdBlock
+from feel321.protocols.trial import THRESHOLD, VALID, Flow, Page
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
+from feel321.study.session.opening import open_session
 from feel321.study.session.plan import (
     Design,
     Stale,
     create_plan,
     make_plan,
-    open_session,
     recall_detection,
     require_plan,
 )
@@ -150,12 +149,12 @@ def test_practice_comes_again_after_a_long_break(stimuli: StimulusSet) -> None:
         if isinstance(step, Page):
             agenda.tell_page(step.key, time_s=0.0)
         elif step is not None:
-            agenda.tell_trial(step.number, accepted=True, as_expected=None, time_s=0.0)
+            agenda.tell_trial(step.number, VALID, as_expected=None, time_s=0.0)
     agenda.warm_up()
     assert agenda.ask() == Page("warm_up")
     agenda.tell_page("warm_up", time_s=0.0)
     assert agenda.ask() == practice
-    agenda.tell_trial(practice.number, accepted=True, as_expected=None, time_s=0.0)
+    agenda.tell_trial(practice.number, VALID, as_expected=None, time_s=0.0)
     assert agenda.ask() == first
     assert agenda.done == 0
 

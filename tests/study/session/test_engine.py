@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from feel321.study.session.journal import Records
 from feel321.study.session.plan import replay
-from feel321.study.session.ports import Abort, Confirm, Playback
+from feel321.study.session.ports import Abort, Playback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -98,52 +97,7 @@ def fail(count: int = 1) -> list[Playback]:
     return [Playback(1.0, 1.0, error="device is gone")] * count
 
 
-def test_a_device_that_fails_once_costs_one_attempt(present: Present, scripted: type) -> None:
-    records = present(scripted(playbacks={(3, 1): fail()}))
-    assert [(r["trial"], r["attempt"], r["flags"]) for r in list_events(records, "spoiled")] == [
-        (3, 1, ["device_error"])
-    ]
-    rated = Counter(r["trial"] for r in list_events(records, "rated"))
-    assert rated == dict.fromkeys(range(1, 21), 1)
-    assert [r["attempt"] for r in list_events(records, "rated") if r["trial"] == 3] == [2]
-
-
 LEAVE = Abort(1.0, "the window was closed")
-
-
-def test_a_device_that_fails_twice_in_a_row_calls_the_experimenter(
-    present: Present, scripted: type
-) -> None:
-    """Then after each further failure, and no longer once it played again."""
-    dead = {(3, 1): fail(), (4, 1): fail(), (5, 1): fail(), (8, 1): fail()}
-    presenter = scripted(playbacks=dead)
-    records = present(presenter)
-    assert [line for line in presenter.log if line.startswith(("page call_us", "show"))][:8] == [
-        *(f"show {number}.1 realism" for number in range(1, 5)),
-        "page call_us 2/20",
-        "show 5.1 realism",
-        "page call_us 2/20",
-        "show 3.2 realism",
-    ]
-    assert presenter.log.count("page call_us 2/20") == 2
-    failed = list_events(records, "device_failed")
-    assert [entry["reason"] for entry in failed] == ["device is gone"] * 2
-    rated = Counter(r["trial"] for r in list_events(records, "rated"))
-    assert rated == dict.fromkeys(range(1, 21), 1)
-    assert records[-1].data == {"trials": 20, "given_up": 0}
-
-
-def test_who_leaves_instead_of_retrying_ends_the_session_for_today(
-    present: Present, scripted: type
-) -> None:
-    dead = {(3, 1): fail(), (4, 1): fail()}
-    records = present(scripted(playbacks=dead, pages={"call_us": [LEAVE]}))
-    assert records[-1].data["reason"] == "the device failed twice in a row; check it, then resume"
-    assert len(list_events(records, "rated")) == 2
-    again = scripted()
-    records = present(again)
-    assert again.log[0] == "page ready 2/20"
-    assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))
 
 
 @pytest.mark.parametrize("stop_after", [0, 1])
@@ -184,17 +138,6 @@ def test_pages_aside_from_the_plan_change_nothing_in_replay(
     assert {record.data.get("key") for record in records} >= aside
     assert len(old) == len(records) - 3
     assert replay(plan, old).done == replay(plan, records).done == 20
-
-
-def test_a_dead_device_uses_no_trial_up(present: Present, scripted: type) -> None:
-    dead = {(number, attempt): fail() for number in range(1, 21) for attempt in range(1, 60)}
-    for n_retries in (0, 3, 12):
-        retries = [Confirm(1.0, {})] * n_retries
-        records = present(scripted(playbacks=dead, pages={"call_us": [*retries, LEAVE]}))
-        assert records[-1].event == "aborted"
-    records = present(scripted())
-    assert sorted(r["trial"] for r in list_events(records, "rated")) == list(range(1, 21))
-    assert records[-1].data == {"trials": 20, "given_up": 0}
 
 
 def test_a_fault_of_the_presenter_is_recorded_in_its_own_words(

@@ -18,7 +18,8 @@ from feel321.study.session.journal import (
     require_journal,
     utc_now,
 )
-from feel321.study.session.plan import Stale, create_plan, make_plan, open_session, require_plan
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Stale, create_plan, make_plan, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable

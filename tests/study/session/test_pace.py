@@ -14,7 +14,6 @@ from feel321.study.auditing.replay import audit_steps
 from feel321.study.minutes import Sitting
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
-from feel321.study.session.pace import LATE_S, Schedule
 from feel321.study.session.plan import make_plan
 from feel321.study.session.ports import Confirm, Playback, TimedOut
 
@@ -165,26 +164,11 @@ def test_no_page_comes_between_trials_with_fixed_onsets(
     assert list(audit_steps(records, plan)) == []
 
 
-def test_small_delays_do_not_add_up(make: MakePlan) -> None:
-    plan = make(onset_s=6.0)
-    pace, trial = Schedule({"realism": plan.tasks[0]}), plan.trials[0]
-    assert pace.find_due(trial) is None
-    pace.note_onset(trial, 10.0)
-    for turn in range(1, 50):
-        due_s = pace.find_due(trial)
-        assert due_s == 10.0 + 6.0 * turn
-        pace.note_onset(trial, due_s + 0.9 * LATE_S)
-    pace.note_onset(trial, 400.0)
-    assert pace.find_due(trial) == 406.0
-    pace.restart()
-    assert pace.find_due(trial) is None
-
-
 def test_simulated_participants_keep_the_pace(make: MakePlan, stimuli: StimulusSet) -> None:
     plan = make(onset_s=30.0, answer_timeout_s=1.0)
     observer = SimulatedObserver(ObserverModel(), seed=1, number=1)
     from feel321.protocols.texts import read_scales
-    from feel321.study.session.codes import list_by_code
+    from feel321.study.session.plan import list_by_code
     from feel321.study.session.ports import Place
 
     by_code, late, onsets = list_by_code(stimuli, seed=plan.seed), 0, []

@@ -10,15 +10,11 @@ import pytest
 from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.texts import make_scales, read_texts
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.ratings import judge
-from feel321.study.session.engine import find_scale
-from feel321.study.session.events import TrialRated
-from feel321.study.session.plan import create_plan, make_plan, require_plan
+from feel321.study.session.plan import make_plan
 from feel321.study.session.ports import Confirm, Feel, Move
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
     from feel321.protocols.trial import Scale
     from feel321.stimuli.sets.manifest import StimulusSet
@@ -82,38 +78,6 @@ def test_markers_move_by_scale_and_what_is_open_is_refused(
     assert list(audit_steps(records, threefold)) == []
 
 
-def test_the_presenter_gets_the_words_of_every_scale(
-    threefold: Plan, scales: dict[str, Scale]
-) -> None:
-    first = next(trial for trial in threefold.trials if trial.protocol == "realism")
-    scale = find_scale(first, scales)
-    assert [scale.find(j.scale).name for j in first.judgements] == [
-        "realism",
-        "roughness",
-        "hardness",
-    ]
-    other = next(trial for trial in threefold.trials if trial.protocol == "similarity")
-    assert find_scale(other, scales) is scales["similarity"]
-
-
-def test_a_row_per_scale(threefold: Plan) -> None:
-    trial = threefold.trials[0]
-    values = {key: 10.0 * n for n, key in enumerate(trial.judged)}
-    rated = TrialRated(1, 1, dict(values), 1.5, 9.0, [], False)
-    from feel321.study.session.events import PartPlayed
-
-    played = [PartPlayed(1, 1, part.name, 0.0, 0.25, 0, 0, True, "") for part in trial.parts]
-    rows = list(judge(trial, rated, {part.part: part for part in played}))
-    assert [(row["scale"], row["rating"], row["onset_s"]) for row in rows] == [
-        ("realism", 0.0, 0.25),
-        ("roughness", 10.0, 0.25),
-        ("hardness", 20.0, 0.25),
-    ]
-    assert {(row["trial"], row["stimulus_id"]) for row in rows} == {
-        (trial.number, trial.judgements[0].stimulus_id)
-    }
-
-
 @pytest.mark.parametrize(
     "values",
     [
@@ -133,10 +97,3 @@ def test_the_audit_finds_a_forged_rating(
     place = next(n for n, record in enumerate(records) if record.event == "rated")
     records[place] = replace(records[place], data={**records[place].data, "values": values})
     assert next(audit_steps(records, threefold), "").startswith(f", line {place + 1}: ")
-
-
-def test_a_plan_holds_the_scales_of_its_tasks(tmp_path: Path, threefold: Plan) -> None:
-    create_plan(tmp_path / "threefold.json", threefold)
-    read = require_plan(tmp_path / "threefold.json")
-    assert read == threefold
-    assert read.tasks[0].scales == ("realism", "roughness", "hardness")

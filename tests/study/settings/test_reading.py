@@ -11,9 +11,15 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from feel321.protocols.questions import READY, Question
 from feel321.protocols.tasks import make_task
-from feel321.protocols.texts import CATALOG, list_languages, make_scales, read_texts
+from feel321.protocols.texts import (
+    CATALOG,
+    READY,
+    Question,
+    list_languages,
+    make_scales,
+    read_texts,
+)
 from feel321.protocols.trial import Flow
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.recording import Recording

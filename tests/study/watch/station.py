@@ -39,11 +39,11 @@ def main(path: Path, participant: str, seed: int, sleep_s: float) -> None:
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
     room = open_room(study, settings, stimuli, now=utc_now)
     plan = plan_sessions(room, settings, [participant], simulated=True)[0]
-    casting = cast_observers(settings, stimuli, seed=seed)
+    casting = cast_observers(settings, seed=seed)
 
     @contextmanager
     def seat(_plan: Any, _journal: Any, _stimuli: Any) -> Iterator[SlowObserver]:
-        observer = SlowObserver(casting.model, seed=seed, number=1, percepts=casting.percepts)
+        observer = SlowObserver(casting.model, seed=seed, number=1)
         observer.sleep_s = sleep_s
         yield observer
 

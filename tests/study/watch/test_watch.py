@@ -81,8 +81,8 @@ def test_the_page_follows_a_session_until_both_end(copied: StudyFolder, tmp_path
     try:
         wait_until(lambda: watching.poll() is not None or see()[2:3] not in ([], ["0"]))
         first = see()
-        assert (first[1], first[3], first[6:9]) == ("running", "10", ["1", "0", "0"])
-        assert 0 <= int(first[4]) < 10
+        assert (first[1], first[4], first[7:10]) == ("running", "10", ["1", "0", "0"])
+        assert 0 <= int(first[5]) < 10
         wait_until(lambda: see()[2] != first[2])
         session.kill()
         session.wait()
@@ -163,9 +163,9 @@ def test_what_cannot_be_read_is_named_and_hides_nobody_else(copied: StudyFolder)
     page = write_page(copied)
     assert "mag321" not in page
     assert read_row(page, "sim001")[1:] == [
-        "unreadable", *("0", "0"), *[""] * 6, "run feel321 audit",
+        "unreadable", *("0", "0", "0"), *[""] * 6, "run feel321 audit",
     ]  # fmt: skip
-    assert read_row(page, "sim002")[1:4] == ["finished", "10", "10"]
+    assert read_row(page, "sim002")[1:4] == ["finished", "10", "0"]
     assert "Nobody has begun yet." in write_page(replace(copied, is_rehearsal=True))
 
 

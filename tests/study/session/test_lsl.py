@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.session import outlet as outlets
+from feel321.study import lsl as outlets
+from feel321.study.lsl import SENT, make_marker, name_source, open_outlet
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Record
-from feel321.study.session.outlet import SENT, make_marker, name_source, open_outlet
-from feel321.study.session.plan import Stale, create_plan, open_session
+from feel321.study.session.opening import open_session
+from feel321.study.session.plan import Stale, create_plan
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -1,0 +1,231 @@
+"""How a session is begun or resumed: what must not have changed since, and what happens after a long break."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime, timedelta
+from importlib.metadata import version
+from platform import platform, python_version
+from typing import TYPE_CHECKING, Any
+
+from feel321.files import hold_lock
+from feel321.study.session import events
+from feel321.study.session import journal as journals
+from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Plan, Stale, require_plan
+
+if TYPE_CHECKING:
+    from collections.abc import Collection
+    from pathlib import Path
+
+    from feel321.study.session.journal import Clock, Journal
+
+JOURNAL_FORMAT = 1
+"""Format of the journal; its header says which one it has."""
+
+FROZEN_FILE = "frozen.json"
+"""What was decided before the ratings, in the study's folder (`feel321 freeze`)."""
+
+PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
+"""May not even differ where nobody has done anything yet."""
+
+UNCOMPARED = ("format", "session", "versions", "system", "clock", "frozen")
+"""May differ between a header and a later opening: other versions may go on with a session, and choices be amended."""
+
+ACCEPTABLE = ("presenter.rig", "calibration")
+"""May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
+
+
+def identify_frozen(folder: Path) -> dict[str, str]:
+    """Return the digest that the study's frozen file gives of itself, for the header of a session; none without one."""
+    try:
+        return {"frozen": str(json.loads((folder / FROZEN_FILE).read_bytes())["sha256"])}
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return {}
+
+
+@contextmanager
+def open_session(
+    folder: Path,
+    plan: Plan,
+    *,
+    identity: Mapping[str, Any],
+    now: Clock,
+    stale: Stale,
+    accept_rig: bool = False,
+) -> Iterator[tuple[Plan, Journal]]:
+    """Begin or resume the session of one participant, and keep everybody else from writing to it.
+
+    plan: the plan that today's settings give; the stored one must be the same. identity: what must not change within
+    the session besides the plan, as JSON can hold it: locale, rig, calibration, and the kind of presenter. Yields the
+    plan as it is stored, and the journal with a header and all that was done before.
+
+    A session that was begun with another plan, stimulus set or presenter is refused with what differs; another
+    presenter may take over where nobody has done anything yet, in a journal of its own. With accept_rig, another rig or
+    certificate is recorded and goes on with the session.
+    """
+    busy = "another session is writing here; let it finish or stop it first"
+    with hold_lock(folder / ".lock", busy=busy):
+        if (folder / TOMBSTONE_FILE).exists():
+            raise ValueError(f"{folder}: {folder.name} was withdrawn; take another code")
+        stored = _require_same(folder, plan)
+        yield stored, _Opening(folder, stored, dict(identity), now, stale).open(accept_rig)
+
+
+def _require_same(folder: Path, plan: Plan) -> Plan:
+    """Read a stored plan, and refuse it where the study has changed since."""
+    path = folder / PLAN_FILE
+    stored = require_plan(path)
+    remedy = (
+        f"change it back, begin with another participant, or move {path.parent.parent.name}/ away"
+    )
+    # By way of JSON, which knows lists only, so that what was stored and what was made anew look alike.
+    inputs = (asdict(replace(entry, trials=())) for entry in (stored, plan))
+    old, new = (json.loads(json.dumps(entry)) for entry in inputs)
+    if differences := find_differences(old, new, ignore={"sha256"}):
+        raise ValueError(
+            f"{path}: the study was changed since this plan was stored ({'; '.join(differences)}); {remedy}"
+        )
+    # A session that was begun keeps its trials, whatever a later version would make of the same inputs.
+    files = journals.list_journals(folder)
+    is_begun = any(journals.read_journal(file).records.find_header() for file in files)
+    if not is_begun and stored.trials != plan.trials:
+        raise ValueError(
+            f"{path}: holds other trials than the study gives; remove the file, or {remedy}"
+        )
+    return stored
+
+
+@dataclass(frozen=True, slots=True)
+class _Opening:
+    """A session that is begun, resumed, or left for a new one."""
+
+    folder: Path
+    plan: Plan
+    identity: dict[str, Any]
+    now: Clock
+    stale: Stale
+
+    def open(self, accept_rig: bool) -> Journal:  # noqa: FBT001 - called once
+        """Open the newest journal, or begin the next one."""
+        files = journals.list_journals(self.folder)
+        if not files:
+            return self._begin()
+        journal = journals.require_journal(files[-1], now=self.now)
+        records = journal.records
+        if records.has(events.SessionReleased):
+            raise ValueError(
+                f"{journal.path}: {self.folder.name} was released, the place in the design is free; take another code"
+            )
+        begun = records.find_header()
+        if begun is None:
+            journal.write(self._make_header(journal))
+            return journal
+        if self._is_taken_over(journal, begun, accept_rig=accept_rig):
+            return self._supersede(
+                journal
+            )  # Another rig, say, does no harm: nobody has done anything yet.
+        if records.has(events.SessionFinished):
+            return journal
+        is_stale = self._is_stale(records)
+        if records.has(events.SessionSuperseded) or (is_stale and self.stale.policy == "restart"):
+            return self._supersede(journal)
+        journal.write(events.SessionResumed(*_describe_opening(journal)))
+        if is_stale and self.stale.policy == "warm_up":
+            journal.write(events.WarmUpBegun())
+        return journal
+
+    def _is_taken_over(
+        self, journal: Journal, begun: events.SessionBegun, *, accept_rig: bool
+    ) -> bool:
+        """Compare the header with today's: refuse what differs, record what is accepted; else a new journal is due."""
+        left, header = begun.to_data(), self._make_header(journal).to_data()
+        for event in journal.records.find(events.RigAccepted):
+            presenter = left.get("presenter", {}) | {"rig": event.rig}
+            left |= {"presenter": presenter, "calibration": event.calibration}
+        if not (differences := find_differences(left, header, ignore=UNCOMPARED)):
+            return False
+        names = {line.partition(" ")[0] for line in differences}
+        untouched = {kind.event for kind in events.UNTOUCHED}
+        if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
+            return True
+        is_rig = all(name.startswith(ACCEPTABLE) for name in names)
+        if not (is_rig and accept_rig):
+            raise ValueError(_describe_refusal(journal.path, begun, differences, is_rig=is_rig))
+        if not journal.records.has(events.SessionFinished):
+            rig = header.get("presenter", {}).get("rig")
+            journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
+        return False
+
+    def _make_header(self, journal: Journal) -> events.SessionBegun:
+        plan, session = self.plan, len(journals.list_journals(self.folder))
+        planned = (plan.participant, plan.sha256, plan.stimuli_sha256, plan.seed)
+        own = (JOURNAL_FORMAT, *planned, self.identity, session)
+        return events.SessionBegun(*own, *_describe_opening(journal))
+
+    def _begin(self) -> Journal:
+        number = len(journals.list_journals(self.folder)) + 1
+        journal = journals.create_journal(self.folder / journals.name_journal(number), now=self.now)
+        journal.write(self._make_header(journal))
+        return journal
+
+    def _supersede(self, journal: Journal) -> Journal:
+        """Leave a session as it is and begin the next one; after a crash in between, the second step alone is due."""
+        if not journal.records.has(events.SessionSuperseded):
+            number = len(journals.list_journals(self.folder)) + 1
+            journal.write(events.SessionSuperseded(number))
+        return self._begin()
+
+    def _is_stale(self, records: journals.Records) -> bool:
+        if self.stale.after_h is None:
+            return False
+        # An opening that was itself broken off leaves fresh records of an old session.
+        opening = {kind.event for kind in events.OPENING}
+        last = next(record for record in reversed(records) if record.event not in opening)
+        away = self.now() - datetime.fromisoformat(last.utc)
+        return away > timedelta(hours=self.stale.after_h)
+
+
+def _describe_opening(journal: Journal) -> tuple[dict[str, str], str, dict[str, float]]:
+    """Describe versions, system and clock: the presenter's beside the time of day, for the offset between both."""
+    versions = {name: version(name) for name in ("feel321", "numpy", "scipy")}
+    clock = {"presenter_s": journal.records.find_elapsed()}
+    return {"python": python_version(), **versions}, platform(), clock
+
+
+def _describe_refusal(
+    path: Path, begun: events.SessionBegun, differences: list[str], *, is_rig: bool
+) -> str:
+    """Say why a session cannot be resumed, and what to do."""
+    named = [
+        "other texts for participants" if line.startswith("texts_sha256 ") else line
+        for line in differences
+    ]
+    former, own = begun.versions.get("feel321"), version("feel321")
+    use = "" if former == own else f" or use feel321 {former}, which began it"
+    accept = "go on with the rig as it is now (--accept-rig, which records it), " if is_rig else ""
+    return (
+        f"{path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, {accept}"
+        f"begin with another participant, or move {path.parent.parent.name}/ away"
+    )
+
+
+def find_differences(
+    old: Mapping[str, Any], new: Mapping[str, Any], *, ignore: Collection[str] = ()
+) -> list[str]:
+    """Find the values in which two nested mappings differ, named by their keys."""
+    before, after = (
+        _flatten({k: v for k, v in entry.items() if k not in ignore}) for entry in (old, new)
+    )
+    names = [name for name in before | after if before.get(name) != after.get(name)]
+    return [f"{name} {before.get(name)!r} -> {after.get(name)!r}" for name in names]
+
+
+def _flatten(entry: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in entry.items():
+        key = f"{prefix}{name}"
+        flat |= _flatten(value, f"{key}.") if isinstance(value, dict) else {key: value}
+    return flat
