@@ -39,14 +39,18 @@ class Stimulus:
     ----------
     stimulus_id, recording, reducer, level, role, file : str
         What it is, and where.
-    rate_hz, n_samples, duration_s, peak, rms_m_s2, gain, spectral_match, temporal_match : float
-        How long and how strong it is, and how well it matches its recording.
+    rate_hz : float
+        Its rate.
+    n_samples : int
+        Its length per channel.
+    duration_s, peak, rms_m_s2, gain, spectral_match, temporal_match : float
+        How long and how strong it is, and how well it matches its recording; NaN where nothing could be compared.
     clipped : int
         How many samples were limited.
     sha256, recording_sha256 : str
-        Digests of the file and of its source.
+        The digests of the file and of its source.
     spectral_match_bounded, sensation_level_db, temporal_match_windowed, band_high_hz : float
-        Further matches and their band, and how strong it is felt; NaN where nothing could be compared, or for silence.
+        Further numbers; the sensation level is NaN for silence.
     metrics : Mapping of str to float
         Further metrics, each a column of its own; NaN where nothing could be compared.
     """
