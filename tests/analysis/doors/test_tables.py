@@ -75,7 +75,7 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
     "named as a column": lambda table: table.set_index("participant", drop=False),
 }
 
-OTHERS = {"bradley_terry by rater", "find_sources", "profile_reducers", "tabulate_correlations"}
+OTHERS = {"bradley_terry by rater", "find_sources", "profile_reducers"}
 """Further forms, and functions that are not on the face."""
 
 CHOICES = {"predict_votes"}
