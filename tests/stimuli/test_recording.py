@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from feel321.stimuli.recording import Recording, check_acceleration, check_rate
+from feel321.doors import check_rate
+from feel321.stimuli.recording import Recording, check_acceleration
 
 
 def test_samples_are_copied_and_cannot_be_changed() -> None:

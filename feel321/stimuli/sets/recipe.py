@@ -44,7 +44,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.doors import Registry, as_names, check_name, describe
+from feel321.doors import Registry, as_names, check_name, check_rate, describe
 from feel321.extensions import Method, find_method, is_given
 from feel321.stimuli.condition import Conditioning, make_plain
 from feel321.stimuli.match import (
@@ -56,7 +56,7 @@ from feel321.stimuli.match import (
     energy_spectrum,
     log_grid,
 )
-from feel321.stimuli.recording import Recording, check_rate, largest
+from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.manifest import COLUMNS
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold, loudest_levels
