@@ -46,6 +46,7 @@ from numpy.typing import NDArray
 
 from feel321.doors import Registry, as_names, check_name, check_rate, describe
 from feel321.extensions import Method, find_method, is_given
+from feel321.names import ANCHOR_NAMES
 from feel321.stimuli.condition import Conditioning, make_plain
 from feel321.stimuli.match import (
     HIGHEST_HZ,
@@ -130,7 +131,7 @@ def mid_anchor(
 
 
 ANCHORS: Registry[Callable[..., Samples]] = Registry(
-    "anchor", {"anchor_low": low_anchor, "anchor_mid": mid_anchor}
+    "anchor", dict(zip(ANCHOR_NAMES, (low_anchor, mid_anchor), strict=True))
 )
 """Name -> anchor, made from a conditioned recording; the names stand in the manifest's column `reducer`."""
 
