@@ -130,12 +130,6 @@ def test_successive_participants_go_through_all_combinations_in_order(
     assert place == (number - 1) // len(combinations) + 1
 
 
-def test_combinations_are_counted_and_not_listed() -> None:
-    between = {f"factor{n}": ["off", "on"] for n in range(80)}
-    groups, place = place_in_groups(between, 2**80 + 2)
-    assert (place, groups["factor79"], groups["factor78"]) == (2, "on", "off")
-
-
 def test_a_group_has_its_own_levels_and_tasks_and_shared_references() -> None:
     items = [Item("t-x", "t", "dft321", "x", "test"), Item("t-y", "t", "dft321", "y", "test")]
     shared = Item("t-o", "t", "original", "x", "reference")

@@ -6,10 +6,9 @@ import pytest
 
 from feel321.protocols.texts import MOST_LETTERS, Question, label_points, read_texts
 from feel321.study.keys import USUAL, KeysTable
-from feel321.study.screen.input import Form, InputEvent
+from feel321.study.screen.input import Form, InputEvent, make_screen_texts
 from feel321.study.screen.layout import find_overflows
 from feel321.study.screen.sheet import Box, Target
-from feel321.study.screen.view import make_screen_texts
 
 HAND = Question("hand", "choice", "Which?", ("left", "right", "both"))
 TIRED = Question("tired", "likert", "How tired?", label_points(7, "not", "very"))

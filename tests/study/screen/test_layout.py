@@ -14,6 +14,7 @@ import pytest
 from feel321.protocols.texts import PageText, list_languages, read_scales, read_texts
 from feel321.protocols.trial import Page
 from feel321.study.screen import sheet as ui
+from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose, find_overflows
 from feel321.study.screen.sheet import (
     LEADING,
@@ -26,7 +27,6 @@ from feel321.study.screen.sheet import (
     measure,
     round_corners,
 )
-from feel321.study.screen.view import View, make_screen_texts
 from feel321.study.session.ports import Place
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def test_contrast(ink: str, ground: str) -> None:
 @pytest.mark.parametrize("size", SIZES)
 def test_long_texts_shrink_and_braces_stay(size: tuple[int, int]) -> None:
     tables = read_texts("en")
-    tables["pages"]["consent"]["text"] = "Ask {us} {done}. " * 75
+    tables["pages"]["consent"]["text"] = "Ask {us} {answered}. " * 75
     view = View("page", "reading", 1, Place(3, 9), page=Page("consent"))
     texts = [
         item

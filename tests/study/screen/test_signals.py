@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from feel321.study.screen.input import HELD, hold_signals
+from feel321.study.screen.window import HELD, hold_signals
 
 
 @pytest.mark.parametrize("is_over", [True, False])

@@ -49,21 +49,6 @@ def test_no_plan_tells_what_a_stimulus_was_made_by(
     ]
 
 
-def test_rehearsal_does_not_move_the_order_and_is_numbered_behind_it(
-    design: Design, stimuli: StimulusSet
-) -> None:
-    rehearsed = replace(
-        design, tasks=tuple(replace(task, training=2, practice=1) for task in design.tasks)
-    )
-    plain, plan = remake(design, stimuli), remake(rehearsed, stimuli)
-    assert [t for t in plan.trials if t.phase == "main"] == list(plain.trials)
-    assert [t.number for t in plan.trials] == list(range(1, len(plan.trials) + 1))
-    assert [t.phase for t in plan.trials[20:]].count("training") == 4
-    # Everybody rehearses with stimuli of their own.
-    lessons = {remake(rehearsed, stimuli, number=number).trials[20:] for number in range(1, 6)}
-    assert len({tuple(trial.parts for trial in own) for own in lessons}) > 1
-
-
 def test_groups_take_turns_and_feel_what_is_theirs(design: Design, stimuli: StimulusSet) -> None:
     between = {"protocol": ("realism", "similarity"), "grip": ("pen", "power")}
     plans = [
@@ -114,14 +99,6 @@ def test_same_arguments_give_the_same_digest_and_any_other_another(
     assert len(digests) == 12
 
 
-@pytest.mark.parametrize("name", ["", "a b", "../a", "-a", "ä"])
-def test_participants_are_called_what_a_folder_can_be_called(
-    design: Design, stimuli: StimulusSet, name: str
-) -> None:
-    with pytest.raises(ValueError, match=r"participant must be letters, digits, - and _, got"):
-        remake(design, stimuli, name)
-
-
 def test_a_stored_plan_survives_a_power_cut(plan: Plan, tmp_path: Path, synced: list[int]) -> None:
     create_plan(tmp_path / "plan.json", plan)
     assert synced == [(tmp_path / "plan.json").stat().st_ino, tmp_path.stat().st_ino]
@@ -157,26 +134,6 @@ def test_what_is_no_plan_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "plan.json").write_text(content, encoding="utf-8")
     with pytest.raises(ValueError, match="not a plan"):
         require_plan(tmp_path / "plan.json")
-
-
-def test_tasks_take_turns_where_they_are_counterbalanced(
-    design: Design, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    turned = [
-        remake(replace(design, task_order="counterbalanced"), stimuli, number=number)
-        for number in (1, 2, 3)
-    ]
-    sections = [list(dict.fromkeys(t.protocol for t in own.trials)) for own in turned]
-    assert sections == [[task.protocol for task in own.tasks] for own in turned]
-    assert sections == [["realism", "similarity"], ["similarity", "realism"], sections[0]]
-    create_plan(tmp_path / "turned.json", turned[1])
-    assert require_plan(tmp_path / "turned.json") == turned[1]
-    # What everybody feels in a task does not depend on when it comes.
-    for number, own in enumerate(turned, start=1):
-        usual = remake(design, stimuli, number=number)
-        assert [t.parts for t in own.trials if t.protocol == "similarity"] == [
-            t.parts for t in usual.trials if t.protocol == "similarity"
-        ]
 
 
 @pytest.mark.parametrize("entry", [{}, {"format": 3}, {"format": 2, "flow": None}])
