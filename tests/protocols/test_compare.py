@@ -11,16 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.protocols.compare import CHOICES, EXPECTED, MUSHRA_MOST, choose_pairs
+from feel321.protocols.compare import EXPECTED, choose_pairs
 from feel321.protocols.order import make_order
-from feel321.protocols.tasks import (
-    PROTOCOLS,
-    find_other,
-    is_as_expected,
-    make_task,
-    measure_chance,
-    score_trial,
-)
+from feel321.protocols.tasks import PROTOCOLS, find_other, make_task, measure_chance
 from feel321.protocols.trial import RATING_RANGE, SURFACE, TIMINGS, Judgement, Trial
 
 if TYPE_CHECKING:
@@ -259,29 +252,6 @@ def test_one_stimulus_after_its_reference(
         assert judgement.reference_id == about
 
 
-def test_a_page_holds_one_arm_of_one_recording_and_names_its_reference(
-    make_items: MakeItems,
-) -> None:
-    pages = compare("mushra", make_items("tap", NAMES, LEVELS))
-    assert [name_parts(page) for page in pages] == [["original", *NAMES]] * 2
-    assert [part.name for part in pages[0].parts] == ["reference", *"123456"]
-    assert {j.reference_id for j in pages[1].judgements} == {"tap-original-equal_intensity"}
-    assert list_expected(pages[:1]) == [None, None, None, (75, 100), (0, 50), (0, 50)]
-    (page,) = compare("mushra", make_items("tap", NAMES), reference="dft321")
-    assert name_parts(page)[0] == "dft321"
-    assert list_expected((page,)) == [None, None, (75, 100), None, (0, 50), (0, 50)]
-
-
-def test_twelve_fill_a_page_and_thirteen_are_refused(make_items: MakeItems) -> None:
-    names = (*(f"r{i}" for i in range(MUSHRA_MOST - 1)), "original")
-    (page,) = compare("mushra", make_items("tap", names))
-    assert len(page.judgements) == 12
-    with pytest.raises(
-        ValueError, match=r"a page of mushra must have at most 12 stimuli .* got 13"
-    ):
-        compare("mushra", make_items("tap", (*names, "low")))
-
-
 # Choices, by hand.
 
 
@@ -351,37 +321,6 @@ def test_pairs_of_reducers_and_two_catches(
     about = {"tap": SURFACE}.get(heads[0], f"tap-{heads[0]}-as_is") if heads else None
     about = None if name == "preference" else about
     assert {c.judgements[0].reference_id for c in compared} == {about}
-
-
-def test_every_stimulus_may_be_the_reference_in_turn(make_items: MakeItems) -> None:
-    items, felt = make_items("tap", NAMES), ("original", *TESTS)
-    compared = compare("triplet", items, reference="every")
-    asked = [tuple(name_parts(c)) for c in compared if not c.catch]
-    assert sorted(asked) == sorted(
-        (head, *pair) for head in felt for pair in combinations([n for n in felt if n != head], 2)
-    )
-    assert [name_parts(c)[0] for c in compared if c.catch] == ["original", "original"]
-    some = compare("triplet", items, reference="every", pairs=2)
-    assert Counter(name_parts(c)[0] for c in some if not c.catch) == dict.fromkeys(felt, 2)
-
-
-@pytest.mark.parametrize("name", ["triplet", "preference"])
-@given(number=st.integers(1, 40), pairs=st.integers(1, 6))
-def test_a_row_names_both_stimuli_and_who_won(
-    name: str, number: int, pairs: int, make_items: MakeItems
-) -> None:
-    task = make_task(name, pairs=pairs)
-    trials = make_order(make_items("tap", NAMES), [task], number=number, repeats=2)
-    assert len(trials) == 2 * (min(pairs, 3 if name == "triplet" else 6) + 2)
-    for trial in trials:
-        (judgement,) = trial.judgements
-        felt = {part.name: part.stimulus_id for part in trial.parts}
-        assert (judgement.stimulus_id, find_other(trial, judgement)) == (felt["a"], felt["b"])
-        assert score_trial(trial, {"a": "a"}) == {"a": 100.0}
-        assert score_trial(trial, {"a": "b"}) == {"a": 0.0}
-        if trial.catch:
-            choices = {choice: is_as_expected(trial, {"a": choice}) for choice in CHOICES}
-            assert choices == {choice: "original" in str(felt[choice]) for choice in CHOICES}
 
 
 @pytest.mark.parametrize("name", ["triplet", "preference"])

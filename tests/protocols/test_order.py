@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from dataclasses import replace
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,14 +11,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from feel321.protocols.compare import count_rows, williams_row
-from feel321.protocols.order import (
-    ORDERS,
-    arrange_sections,
-    find_crowding,
-    make_order,
-    order_tasks,
-    shuffle_rows,
-)
+from feel321.protocols.order import ORDERS, find_crowding, make_order, shuffle_rows
 from feel321.protocols.tasks import PROTOCOLS, find_other, make_task
 from feel321.protocols.trial import Item
 
@@ -113,14 +105,6 @@ def test_no_recording_follows_itself_across_blocks_and_rounds(
     assert all(a.recording != b.recording for a, b in pairwise(trials) if a.block != b.block)
 
 
-@given(orders, numbers, st.integers(1, 5), st.integers(2, 7), seeds)
-def test_no_stimulus_of_a_lone_recording_follows_itself(
-    name: str, number: int, repeats: int, n_stimuli: int, seed: int
-) -> None:
-    trials = order(list_items(1, n_stimuli), number, repeats, order=name, seed=seed)
-    assert all(get_stimulus(a) != get_stimulus(b) for a, b in pairwise(trials))
-
-
 @pytest.mark.parametrize("repeat", [1, 2, 3])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round(
@@ -171,20 +155,6 @@ def test_places_of_reducers_pooled_over_recordings_are_near_balance_after_any_nu
     assert max(counts) - min(counts) <= 2
 
 
-@given(st.integers(0, 40))
-def test_four_participants_meet_every_arrangement_of_abx_once(start: int) -> None:
-    met = defaultdict(list)
-    for number in range(start + 1, start + 5):
-        for t in order(list_items(3, 5), number, tasks=["abx"]):
-            a, b, x = (part.stimulus_id for part in t.parts)
-            met[name_comparison(t)].append((a, x == a))
-            assert x in {a, b}
-    assert all(
-        sorted(found) == sorted(product(stimuli, (False, True)))
-        for (_, _, stimuli), found in met.items()
-    )
-
-
 @given(st.integers(0, 40), st.integers(2, 7))
 def test_every_stimulus_stands_in_every_slot_of_a_page_equally_often(start: int, n: int) -> None:
     cycle = count_rows(n)
@@ -217,29 +187,6 @@ def test_orders_of_nothing_are_refused(
 
 
 TASKS = ("realism", "similarity", "dissimilarity", "abx")
-
-
-@given(orders, numbers, repeat_counts, st.integers(1, 3), st.integers(1, 4), seeds)
-def test_counterbalanced_tasks_are_a_permutation_of_the_sections_and_of_nothing_else(
-    name: str, number: int, repeats: int, n_recordings: int, n_tasks: int, seed: int
-) -> None:
-    tasks = [make_task(protocol) for protocol in TASKS[:n_tasks]]
-    fixed = order(
-        list_items(n_recordings, 3), number, repeats, tasks=TASKS[:n_tasks], order=name, seed=seed
-    )
-    own = order_tasks(tasks, number=number)
-    moved = arrange_sections(fixed, own)
-    assert list(dict.fromkeys(t.protocol for t in moved)) == [task.protocol for task in own]
-    assert [t.number for t in moved] == list(range(1, len(fixed) + 1))
-    blocks = [t.block for t in moved]
-    assert blocks == sorted(blocks)
-    assert set(blocks) == {t.block for t in fixed}
-    for task in tasks:  # inside a section, all is as it was
-        before, after = (
-            [replace(t, number=0, block=0) for t in trials if t.protocol == task.protocol]
-            for trials in (fixed, moved)
-        )
-        assert before == after
 
 
 # Williams squares.
@@ -359,15 +306,6 @@ def test_what_a_trial_is_cannot_be_told_from_its_place(
     shares = np.mean([[trial.catch == catch for trial in trials] for trials in mixed], axis=0)
     error = np.sqrt(share * (1 - share) / len(mixed))
     assert np.abs(shares - share).max() < 4 * error
-
-
-@given(st.integers(0, 999))
-def test_a_recording_with_more_than_its_share_is_mixed_in_as_long_as_that_is_possible(
-    seed: int,
-) -> None:
-    # 21 of 41 can only stand at every other place; nobody hits on that by drawing again and again.
-    trials = mix(list_mixed([(21, 0), (10, 0), (10, 0)]), seed=seed)
-    assert [trial.recording == "0" for trial in trials] == [True, False] * 20 + [True]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.order import make_order, make_rehearsal
+from feel321.protocols.order import make_rehearsal
 from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task
 from feel321.protocols.trial import Item
 
@@ -112,24 +112,3 @@ def test_nobody_passes_training_who_always_answers_the_same(
     met = [is_as_expected(t, {j.part: points for j in t.judgements}) for t in rounds]
     right = [understood for understood in met if understood is not None]
     assert sum(right) < 0.75 * len(right)
-
-
-@given(st.integers(1, 9), st.integers(0, 999))
-def test_training_and_practice_are_spread_over_recordings(count: int, seed: int) -> None:
-    trials = rehearse("dissimilarity", training=count, practice=count, seed=seed)
-    for phase in ("training", "practice"):
-        per_recording = Counter(t.recording for t in trials if t.phase == phase)
-        counts = [per_recording[recording] for recording in ("bumps", "drag", "taps")]
-        # What the sides of the answers leave to choose from may be of one recording.
-        assert max(counts) - min(counts) <= (2 if phase == "training" else 1)
-
-
-@pytest.mark.parametrize("name", ["williams", "blocked", "random"])
-def test_rehearsal_leaves_the_main_order_as_it_is(name: str) -> None:
-    task = make_task("realism", training=4, practice=2)
-    undisturbed, rng = np.random.default_rng(3), np.random.default_rng(3)
-    make_rehearsal(ITEMS, [task], first_number=1, rng=rng)
-    arguments = {"number": 2, "repeats": 2, "order": name}
-    assert make_order(ITEMS, [task], rng=rng, **arguments) == make_order(
-        ITEMS, [task], rng=undisturbed, **arguments
-    )

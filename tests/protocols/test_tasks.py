@@ -12,25 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.protocols.order import make_order, make_rehearsal
-from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task, refine_task, score_trial
-from feel321.protocols.trial import Item, Task, place_in_groups, select_group, select_items
+from feel321.protocols.tasks import is_as_expected, make_task, refine_task, score_trial
+from feel321.protocols.trial import Item, place_in_groups, select_group, select_items
 
 ITEMS = [
     Item("oak-original", "oak", "original", "as_is", "reference"),
     Item("oak-sax321", "oak", "sax321", "as_is", "test"),
     Item("oak-anchor", "oak", "anchor_low", "as_is", "anchor"),
 ]
-
-
-@pytest.mark.parametrize("name", PROTOCOLS)
-def test_a_task_takes_the_first_of_everything_unless_told_otherwise(name: str) -> None:
-    protocol = PROTOCOLS[name]
-    assert make_task(name) == Task(name, protocol.timings[0], "original")
-    for timing in protocol.timings:
-        assert make_task(name, timing=timing).timing == timing
-    for kind in protocol.references:
-        reference = "dft321" if kind == "reducer" else kind
-        assert make_task(name, reference=reference).reference == reference
 
 
 @pytest.mark.parametrize(

@@ -209,25 +209,6 @@ def test_catch_trials_find_a_leaking_cue() -> None:
     assert any(note.startswith("6 of 6 silent catch trials correct") for note in estimate.notes)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_catch_trials_do_not_touch_levels(name: str) -> None:
-    """Whatever is answered to silence, the next levels are the same."""
-    whole = conduct(name, Observer(-30), plan={"trials": 20})
-    flipped = [
-        3 - answer if one.level_db is None else answer
-        for one, answer in zip(whole.shown, whole.answers, strict=True)
-    ]
-    again = resume(name, whole.plan, answers=flipped)
-    assert flipped != whole.answers
-    assert again.shown == whole.shown
-
-
-def test_guessing_by_the_binomial_distribution() -> None:
-    tails = [module.find_tail(hits, 6) for hits in (0, 5, 6)]
-    assert tails == [1, 7 / 64, 1 / 64]
-    assert module._binary_entropy(np.array([0, 0.5, 1 + 2**-50])).tolist() == [0, 1, 0]
-
-
 def test_a_preferred_interval_is_noted_from_5_percent_on() -> None:
     """Two-sided binomial test of 66 answers: p = 0.064 for 41 to one side, 0.036 for 42."""
     for side, other in ((1, 2), (2, 1)):
@@ -235,16 +216,6 @@ def test_a_preferred_interval_is_noted_from_5_percent_on() -> None:
             procedure = resume("staircase", PLAN, answers=[side] * count + [other] * (66 - count))
             notes = " ".join(estimate_threshold(procedure).notes)
             assert ("interval 1 answered in" in notes) == noted
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_estimate_without_answers_is_the_prior(name: str) -> None:
-    estimate = estimate_threshold(resume(name, PLAN))
-    assert estimate.catch_trials == 0
-    assert np.isnan(estimate.threshold_db) == (name == "staircase")
-    assert (estimate.threshold_low_db, estimate.threshold_high_db) == pytest.approx(
-        (-64.2, 4.2), abs=0.3
-    )
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 
 import pytest
 
@@ -22,18 +21,3 @@ def test_the_first_signal_waits_for_a_frame_and_the_second_does_not(is_over: boo
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert [signal.getsignal(number) for number in HELD] == before
-
-
-def test_other_threads_hold_nothing() -> None:
-    before = signal.getsignal(signal.SIGINT)
-    seen = []
-
-    def enter() -> None:
-        with hold_signals() as deliver:
-            deliver()
-            seen.append(signal.getsignal(signal.SIGINT))
-
-    thread = threading.Thread(target=enter)
-    thread.start()
-    thread.join()
-    assert seen == [before]

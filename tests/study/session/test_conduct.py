@@ -144,20 +144,6 @@ def test_what_went_wrong_is_flagged_and_tried_again_by_the_rules(
     assert [(r["flags"], r["rejected"]) for r in rate(lenient)] == [(flags, False)]
 
 
-def test_a_clean_replay_makes_up_for_an_underrun(
-    present: Present, scripted: type, plan_task: Callable[..., Plan]
-) -> None:
-    plan = plan_task("mushra")
-    parts = [part.name for part in plan.trials[0].parts]
-    answer = Confirm(0.0, dict.fromkeys(parts[1:], 50.0), 9.0)
-    dry = [DRY] + [Playback(2.0, 2.0)] * len(parts)
-    for again, rejected in ((parts[0], False), (parts[1], True)):
-        acts = [Feel(0.0), Feel(0.0, again), answer]
-        plan = replace(plan, participant=f"felt-{again}")
-        records = present(scripted(acts={(1, 1): acts}, playbacks={(1, 1): list(dry)}), plan=plan)
-        assert list_events(records, "rated")[0]["rejected"] == rejected
-
-
 @pytest.mark.parametrize(
     ("task", "options"),
     [

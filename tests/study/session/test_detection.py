@@ -125,16 +125,6 @@ def test_rejected_answers_move_no_level(tmp_path: Path, stimuli: StimulusSet, no
     assert found == dict(given)
 
 
-def test_a_threshold_moves_no_other_trial(tmp_path: Path, stimuli: StimulusSet) -> None:
-    without = replace(DESIGN, threshold=None)
-    plans = [make_plan(d, stimuli, "p01", number=1, simulated=True) for d in (without, DESIGN)]
-    for name, plan in zip(("without", "with"), plans, strict=True):
-        create_plan(tmp_path / name, plan)
-        assert require_plan(tmp_path / name) == plan
-    # The block comes after all else, so that the other trials are the same.
-    assert plans[1].trials[: len(plans[0].trials)] == plans[0].trials
-
-
 def test_audit_finds_another_level(tmp_path: Path, stimuli: StimulusSet, now: Any) -> None:
     plan = make_plan(DESIGN, stimuli, "p01", number=1, simulated=True)
     records = lead(tmp_path / "p01", plan, stimuli, now)

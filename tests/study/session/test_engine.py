@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.session.journal import Records
 from feel321.study.session.plan import replay
 from feel321.study.session.ports import Abort, Playback
 
@@ -133,17 +132,6 @@ def test_a_fault_of_the_presenter_is_recorded_in_its_own_words(
         present(Broken())
     (aborted,) = list_events(present(scripted()), "aborted")
     assert aborted["reason"] == "RuntimeError: device HX-1 unplugged"
-
-
-def test_the_clock_goes_on_where_it_stopped(present: Present, scripted: type) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=5))
-    records = present(scripted())
-    times = [record.data["time_s"] for record in records if "time_s" in record.data]
-    assert times == sorted(times)
-    (resumed,) = [record for record in records if record.event == "resumed"]
-    before = Records(records[: records.index(resumed)])
-    assert resumed.data["clock"]["presenter_s"] == before.find_elapsed() > 0
 
 
 def test_a_journal_that_tells_of_another_order_is_refused_with_its_line(

@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from itertools import count
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.trial import Flow
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import Plan, create_plan, list_codes, make_plan, require_plan
 
@@ -69,34 +67,6 @@ def test_groups_take_turns_and_feel_what_is_theirs(design: Design, stimuli: Stim
     assert [t.judgements for t in plans[4].trials] == [
         t.judgements for t in remake(alone, stimuli, number=2).trials
     ]
-
-
-def test_same_arguments_give_the_same_digest_and_any_other_another(
-    design: Design, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    numbers = count()
-
-    def store(plan: Plan) -> str:
-        path = tmp_path / f"{next(numbers)}.json"
-        create_plan(path, plan)
-        return require_plan(path).sha256
-
-    usual = remake(design, stimuli)
-    assert store(usual) == store(remake(design, stimuli))
-    changes: list[dict[str, Any]] = [
-        {"seed": 8}, {"repeats": 2}, {"order": "random"}, {"tasks": design.tasks[::-1]}, {"flow": Flow(gap_s=1.0)},
-        {"between": {"grip": ("pen",)}}, {"task_order": "counterbalanced"},
-    ]  # fmt: skip
-    digests = {
-        store(usual),
-        *(store(remake(replace(design, **change), stimuli)) for change in changes),
-    }
-    digests |= {store(remake(design, stimuli, "p02")), store(remake(design, stimuli, number=2))}
-    digests |= {
-        store(remake(design, replace(stimuli, sha256="6"))),
-        store(replace(usual, simulated=False)),
-    }
-    assert len(digests) == 12
 
 
 def test_a_stored_plan_survives_a_power_cut(plan: Plan, tmp_path: Path, synced: list[int]) -> None:
