@@ -1,4 +1,4 @@
-"""Maps of dissimilarities per interaction and surface: how they agree, one by one and person by person, and their axes.
+"""Maps of dissimilarities per interaction and surface: how they agree, and what their axes are associated with.
 
 Conventions: as in `feel321.analysis.space`. A map is of one group of recordings; every map has the same stimuli
 (reducers) in the same order, and is turned onto the map of all recordings, so that its axes mean the same. Attributes
@@ -17,11 +17,9 @@ import numpy as np
 from feel321.analysis.space import (
     align_spaces,
     bootstrap_space,
-    check_dissimilarities,
     fit_space,
     gather_dissimilarities,
     make_space,
-    refit_space,
 )
 from feel321.analysis.table.schema import LABELS, PAIRED
 from feel321.names import METRIC_INFO, REDUCER_NAMES
@@ -65,7 +63,6 @@ class GroupMap:
     space: Statistic
     ellipses: Statistic | None = None
     n_recordings: int = 0
-    people: tuple[str, ...] = ()
 
 
 def split_groups(rows: DataFrame) -> Iterator[tuple[str, str, DataFrame]]:
@@ -93,14 +90,16 @@ def map_groups(rows: DataFrame, *, draws: int, rng: np.random.Generator) -> list
         except ValueError:
             continue
         if own_names == names:
-            found.append(GroupMap(kind, name, names, own, space, ellipses, **_count(part)))
+            n = len(part[RECORDING].unique())
+            found.append(GroupMap(kind, name, names, own, space, ellipses, n))
     return found
 
 
 def map_all(rows: DataFrame, *, rng: np.random.Generator) -> GroupMap:
     """Map all recordings together."""
     names, matrices = gather_dissimilarities(rows)
-    return GroupMap(ALL, ALL, names, matrices, fit_space(matrices, rng=rng), **_count(rows))
+    space, n = fit_space(matrices, rng=rng), len(rows[RECORDING].unique())
+    return GroupMap(ALL, ALL, names, matrices, space, n_recordings=n)
 
 
 def _place(
@@ -115,14 +114,6 @@ def _place(
     if ellipses:
         ellipses = ellipses.replace(space=turned, angle=(start + sign * ellipses.angle) % 180)
     return turned, ellipses
-
-
-def _count(rows: DataFrame) -> dict[str, Any]:
-    """Count the recordings of a group, and name its participants in the order of their matrices."""
-    people = tuple(
-        sorted(rows.loc[rows["reducer"] != rows["reference_reducer"], "participant"].unique())
-    )
-    return {"n_recordings": len(rows["recording"].unique()), "people": people}
 
 
 def turn_map(space: Statistic, reference: Statistic) -> tuple[Statistic, tuple[float, float]]:
@@ -156,23 +147,6 @@ def compare_groups(
             "disparity": found.disparity, "p": found.p, "permutations": permuted, "n": len(one.names),
         })  # fmt: skip
     return rows
-
-
-def map_people(group: GroupMap) -> Iterator[dict[str, Any]]:
-    """Map each participant of a group who rated every pair: places turned onto the group's map, stress, agreement."""
-    for who, matrix in zip(group.people, group.matrices, strict=True):
-        try:
-            check_dissimilarities(matrix)
-            own = refit_space(matrix, group.space)
-            agreement = align_spaces(own, group.space, permutations=1)
-        except ValueError:
-            continue
-        turned, _ = turn_map(own, group.space)
-        for reducer, (x, y) in zip(group.names, turned.positions, strict=True):
-            yield {
-                "kind": group.kind, "group": group.name, "participant": who, "reducer": reducer, "x": x, "y": y,
-                "stress": own.stress, "correlation": agreement.correlation,
-            }  # fmt: skip
 
 
 # What the axes are associated with: every stimulus of every recording is a point.
@@ -271,28 +245,6 @@ def regress_points(points: Points, *, draws: int, rng: np.random.Generator) -> l
             "axis_1": one, "axis_2": two, "n": kept.size, "permutations": len(orders),
             "chance": float(tried.mean()), **chance,
         })  # fmt: skip
-    return rows
-
-
-def regress_axes(points: Points, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Regress both axes of the maps on several attributes at once, all in standard deviations, within recordings."""
-    chosen = {name: points.attributes[name] for name in names if name in points.attributes}
-    if not chosen:
-        return []
-    known = np.isfinite(np.stack([*chosen.values()])).all(axis=(0, 1))
-    centred = {name: _centre(values[:, known]) for name, values in chosen.items()}
-    chosen = {name: values for name, values in centred.items() if values.any()}
-    if not chosen:
-        return []
-    design = np.stack([values.ravel() for values in chosen.values()], axis=1)
-    places, rows = _centre(points.places[:, known]), []
-    for axis in range(places.shape[-1]):
-        place = places[..., axis].ravel()
-        r2, weights = _explain(place / place.std(), design / design.std(axis=0))
-        rows += [
-            {"axis": axis + 1, "property": name, "weight": weight, "r2": r2, "n": points.size}
-            for name, weight in zip(chosen, weights.tolist(), strict=True)
-        ]
     return rows
 
 

@@ -21,8 +21,6 @@ from feel321.doors import as_rng
 from feel321.records import Statistic
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from numpy.typing import ArrayLike
     from pandas import DataFrame
 
@@ -306,49 +304,6 @@ def align_spaces(
         "Alignment", disparity=disparity, correlation=float(np.sqrt(1 - disparity)), p=p, aligned=aligned,
         permutations=permutations,
     )  # fmt: skip
-
-
-def regress_attributes(
-    positions: Statistic | ArrayLike, attributes: Mapping[str, ArrayLike]
-) -> DataFrame:
-    """Find the direction of the map along which each attribute grows.
-
-    Returns a row per attribute: ``r2``, ``f``, ``df``, ``p`` of the regression on all dimensions, and the unit vector
-    ``axis_1``, ``axis_2``, ... in which it grows. Dimensions of a map may be turned freely, so that only the direction
-    and R² have a meaning. With S stimuli and D dimensions R² is D / (S - 1) by chance; p is for one attribute: apply
-    Holm to several (Borg & Groenen 2005, chapter 4).
-    """
-    from pandas import DataFrame
-    from scipy.stats import f as fisher
-
-    place = _check_positions(positions, "positions")
-    n, width = place.shape
-    centred = place - place.mean(axis=0)
-    if n < width + 2 or np.linalg.matrix_rank(centred) < width:
-        raise ValueError(
-            f"positions must be of {width + 2} stimuli or more, in {width} independent dimensions, got {n} stimuli, or "
-            "a dimension that follows from the others; leave it out"
-        )
-    rows = {}
-    for name, given in attributes.items():
-        values = read_numbers(given, what=f"attribute '{name}'")
-        if values.shape != (n,) or not np.isfinite(values).all():
-            raise ValueError(
-                f"attribute '{name}' must be {n} finite numbers, one per stimulus, got shape {values.shape}"
-            )
-        own = values - values.mean()
-        if (own**2).sum() <= FLAT * (values**2).sum():
-            raise ValueError(
-                f"attribute '{name}' must differ between stimuli, got one value; leave it out"
-            )
-        slopes = np.linalg.lstsq(centred, own, rcond=None)[0]
-        left, df = float(((own - centred @ slopes) ** 2).sum()), n - width - 1
-        r2 = 1 - left / float((own**2).sum())
-        f = r2 / width / ((1 - r2) / df) if r2 < 1 else np.inf
-        rows[name] = {"r2": r2, "f": f, "df": df, "p": float(fisher.sf(f, width, df))}
-        axis = slopes / np.linalg.norm(slopes)
-        rows[name] |= {f"axis_{number}": part for number, part in enumerate(axis, start=1)}
-    return DataFrame.from_dict(rows, orient="index")
 
 
 def bootstrap_space(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -166,20 +165,6 @@ def keep_together(value: object) -> object:
     """
     # A subclass of str is markup that was made elsewhere.
     return TORN.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
-
-
-def wrap_name(name: str, width: int, *, lines: int = 2) -> str:
-    """Break a name into a few lines for a figure, where it must not run off.
-
-    Examples
-    --------
-    >>> wrap_name("a rather long name of a reducer", 12).splitlines()
-    ['a rather', 'long…educer']
-    """
-    found, half = textwrap.wrap(name, width), width // 2
-    if len(found) > lines:
-        found[lines - 1 :] = [f"{found[lines - 1][: half - 1].rstrip()}…{name[-half:].lstrip()}"]
-    return "\n".join(found)
 
 
 def name_path(*parts: str) -> str:

@@ -348,11 +348,6 @@ def read_ready(name: str, texts: Mapping[str, Any], *, when: str = TIMES[0]) -> 
     ]
 
 
-def label_points(points: int, low: str, high: str) -> tuple[str, ...]:
-    """Name the ends of a Likert item's points."""
-    return (low, *[""] * (points - 2), high)
-
-
 def list_pages(questions: Iterable[Question], when: str) -> list[Page]:
     """List the pages of the questions that are asked at a time."""
     return [Page(question.key) for question in questions if question.when == when]

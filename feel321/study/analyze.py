@@ -12,11 +12,11 @@ import pandas as pd
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
-from feel321.analysis.screening.rules import find_rules
+from feel321.analysis.screening.screen import find_rules
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
+from feel321.analysis.table.items import Table
 from feel321.analysis.table.metrics import make_info
-from feel321.analysis.table.reading import Further, Table, read_table
-from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
 from feel321.doors import announce
 from feel321.files import write_text
 from feel321.stimuli.condition import Conditioning, condition

@@ -41,7 +41,7 @@ HOMES = {
 
 VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 
-RESUMED = {"build", "collect", "demo", "power", "run", "simulate", "withdraw"}
+RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 LONGEST = 1000

@@ -166,7 +166,7 @@ def _flatten(entry: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 def _list_code(settings: Settings, study: StudyFolder) -> Iterator[tuple[str, str]]:
     """List the digests of the lab's own code: reducers, metrics, screening rules and protocols."""
-    from feel321.analysis.screening.rules import find_rules
+    from feel321.analysis.screening.screen import find_rules
     from feel321.protocols.tasks import digest_protocols
     from feel321.study.settings.read import find_metric, make_recipe
 

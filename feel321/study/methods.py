@@ -14,7 +14,7 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL
 from feel321.study.folder import SETTINGS_FILE
 from feel321.study.settings.read import find_metric, find_reducer, read_settings
-from feel321.study.settings.schema import SceneTable, Settings
+from feel321.study.settings.schema import RecordingTable, Settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -98,4 +98,4 @@ def _read_if_there(folder: Path) -> Settings:
     path = folder / SETTINGS_FILE
     if path.is_file():
         return read_settings(path)
-    return Settings(recordings=(SceneTable(scene="bumps"),))
+    return Settings(recordings=(RecordingTable(scene="bumps"),))

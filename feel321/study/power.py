@@ -18,9 +18,9 @@ from feel321.analysis.figures import style
 from feel321.analysis.power import plan as planning
 from feel321.analysis.power import truth as planted
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.report import parts
-from feel321.analysis.report.section import Picture
+from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table import reading
+from feel321.analysis.table.items import split_tests
 from feel321.analysis.tradeoff import results
 from feel321.analysis.words import ABSENT, format_count, format_name
 from feel321.doors import check_name
@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 
     from feel321.analysis.power.plan import PowerPlan
     from feel321.analysis.power.truth import PowerDesign, Truth
-    from feel321.analysis.report.parts import RatingsPart
+    from feel321.analysis.table.items import Part, Table
     from feel321.analysis.table.metrics import Step
-    from feel321.analysis.table.reading import Further, Table
+    from feel321.analysis.table.reading import Further
     from feel321.jobs import Workers
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
@@ -121,12 +121,12 @@ def set_up(
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
     table = tabulate_plan(study, settings, stimuli, groups=share, further=further)
-    if not (rated := list(parts.split_parts(table))):
+    if not (rated := list(split_tests(table))):
         raise ValueError(
             "session.protocols ask for no rating of a single stimulus, so there is no slope to plan for; add realism "
             "or similarity"
         )
-    slopes = _plant(settings, rated, steps=parts.find_table_steps(table), effects=effects or {})
+    slopes = _plant(settings, rated, steps=find_table_steps(table), effects=effects or {})
     metrics, attributes = (tuple(slopes[name].unique()) for name in ("metric", "attribute"))
     items = rated[0].rows[[SCENE, REDUCER, ITEM, *metrics]].drop_duplicates(ITEM)
     origin = rated[0].rows.drop_duplicates(SCENE).set_index(SCENE)["source"]
@@ -194,7 +194,7 @@ def tabulate_plan(
     )  # fmt: skip
 
 
-def _list_notes(rated: Sequence[RatingsPart], slopes: DataFrame, share: int) -> list[str]:
+def _list_notes(rated: Sequence[Part], slopes: DataFrame, share: int) -> list[str]:
     levels, notes = list(dict.fromkeys(part.level for part in rated)), list[str]()
     if len(levels) > 1:
         others = ", ".join(levels[1:])
@@ -215,7 +215,7 @@ def _list_notes(rated: Sequence[RatingsPart], slopes: DataFrame, share: int) -> 
 
 def _plant(
     settings: Settings,
-    rated: Sequence[RatingsPart],
+    rated: Sequence[Part],
     *,
     steps: Mapping[str, Step],
     effects: Mapping[str, float],
@@ -279,7 +279,7 @@ def _read_pilot(
 
 def _fit_pilot(table: Table, known: Mapping[str, Any], name: str) -> Truth:
     """Take the standard deviations of a pilot: the root mean square of those of all attributes."""
-    rated = list(parts.split_parts(table))
+    rated = list(split_tests(table))
     if not rated:
         raise ValueError(f"{name}: holds no rating of a single test stimulus; give other ratings")
     metrics = list(dict.fromkeys(slope.split("/")[-1] for slope in known["slopes"]))

@@ -33,6 +33,7 @@ from feel321.study.session.events import (
 )
 from feel321.study.session.journal import Records, list_journals, name_journal
 from feel321.study.session.plan import Dossier, Plan, list_by_code, read_as_written
+from feel321.study.wide import write_wide
 
 MATCHES_FILE = "matches.csv"
 MATCH_COLUMNS = (
@@ -48,9 +49,10 @@ def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
     was begun anew, is there and marked as rejected.
     """
-    rows = (row for one in study.read_people() for row in list_judgements(one, stimuli))
+    rows = [row for one in study.read_people() for row in list_judgements(one, stimuli)]
     count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
     study.share(study.ratings)
+    write_wide(study.path, rows)
     return count
 
 

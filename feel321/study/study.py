@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.report.write import Results
-    from feel321.analysis.table.reading import Table
+    from feel321.analysis.table.items import Table
     from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet

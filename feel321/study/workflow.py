@@ -147,7 +147,7 @@ def check_study(
 
 def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
     """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
-    from feel321.analysis.screening.rules import find_rules, make_rule
+    from feel321.analysis.screening.screen import find_rules, make_rule
     from feel321.stimuli.conform import check_method
 
     methods = list_methods(settings, study.path)

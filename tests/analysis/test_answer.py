@@ -85,22 +85,6 @@ def test_the_sentence_as_it_is_read() -> None:
     )
 
 
-def test_levels_are_not_scales() -> None:
-    arms = [
-        make_card(
-            "realism", "spectral_match", "open", level=level, subject=f"Realism (level {level})"
-        )
-        for level in ("as is", "loud")
-    ]
-    assert say(arms) == "Whether realism ratings at both levels follow spectral match is open."
-    more = [
-        *arms,
-        *(card | {"scale": "mushra", "subject": f"MUSHRA{card['level']}"} for card in arms),
-    ]
-    assert "the ratings on both rating scales at both levels" in say(more)
-    assert "all ratings" in say(more[:3])
-
-
 def test_a_slope_that_turns_alone_is_said() -> None:
     spectral = make_card("realism", "spectral_match", "predicts")
     turned = make_card(
@@ -129,14 +113,6 @@ def test_a_surprising_reducer_is_named_where_metrics_predict() -> None:
     assert say(cards, primary=odd).endswith(told)
     opened = [make_card(scale, "spectral_match", "open") for scale in ("realism", "mushra")]
     assert "mag321" not in say(opened, primary=odd)
-
-
-def test_every_protocol_with_a_clause_is_in_the_sentence() -> None:
-    asked = {"choices": "triplets show this", "discrimination": "0 of 4 were distinguished"}
-    found = {key: Found(clauses=(text,)) for key, text in asked.items()}
-    for cards in ([], [make_card("realism", "spectral_match", "open")]):
-        said = say(cards, **found).casefold()
-        assert all(text in said for text in asked.values())
 
 
 @pytest.mark.parametrize(
@@ -205,12 +181,6 @@ def test_verdicts_without_flagged_raters_are_adjusted_as_the_primary_ones(
     ]
     metrics = {row["metric"] for row in list_changes(conclude_panels(rows))}
     assert metrics == ({"spectral_match", "temporal_match"} if changes else set())
-
-
-def test_a_model_that_everyone_lacks_claims_nothing() -> None:
-    row = {"scale": "realism", "level": "as_is", "panel": "any", "metric": "temporal_match"}
-    assert list(list_changes([row | {"verdict": "open", "tenth": 3.0}])) == []
-    assert len(list(list_changes([row | {"verdict": "predicts", "tenth": 3.0}]))) == 1
 
 
 @pytest.mark.parametrize(

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import html
-import io
 import json
 import re
 import shutil
 import subprocess
-from base64 import b64decode
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from feel321.analysis import browser
 from feel321.analysis.browser import write_stimulus_page
@@ -50,29 +47,15 @@ def read_rows(page: Path) -> dict[str, str]:
     return dict(re.findall(r'<tr id="([^"]*)"(.*?)</tr>', text, flags=re.DOTALL))
 
 
-def find_darkness(page_row: str) -> np.ndarray:
-    png = re.search(r"base64,([^)]*)\)", page_row)[1]
-    return np.asarray(Image.open(io.BytesIO(b64decode(png))).convert("RGBA"))[..., 3]
-
-
 def test_numbers_are_those_of_the_manifest(built: StimulusSet) -> None:
     rows = read_rows(built.folder / "index.html")
     assert list(rows) == [row.stimulus_id for row in built]
-    text = html.unescape((built.folder / "index.html").read_text(encoding="utf-8"))
     for stimulus in built:
         found = re.findall(r'<data value="([^"]*)">([^<]*)</data>', rows[stimulus.stimulus_id])
         exact = [getattr(stimulus, name) for name in browser.NUMBERS]
         assert [float(value) for value, _ in found] == exact
         shown = [float(value.replace("−", "-")) for _, value in found]
         assert shown == pytest.approx(exact, abs=0.051)
-        further = re.search(rf'<th scope="row">{stimulus.stimulus_id}</th>(.*?)</tr>', text)[1]
-        rms, peak, gain, bounded, clipped = re.findall("<td>(.*?)</td>", further)
-        assert [float(rms), float(gain)] == pytest.approx(
-            [stimulus.rms_m_s2, stimulus.gain], rel=0.006
-        )
-        assert float(peak) == pytest.approx(100 * stimulus.peak, rel=0.006)
-        assert float(bounded) == pytest.approx(stimulus.spectral_match_bounded, rel=0.006)
-        assert int(clipped) == stimulus.clipped
 
 
 @pytest.mark.parametrize(
@@ -127,7 +110,6 @@ def test_a_tone_stands_over_the_threshold_by_its_sensation_level(hz: float, thre
 
 def test_silence_and_three_axes_are_drawn() -> None:
     silent = browser.sketch(np.zeros(100), RATE, threshold="contactor")
-    assert find_darkness(f"base64,{silent.spectrogram})").max() == 0
     assert silent.over_db < -100
     tone = np.sin(2 * np.pi * 200 * np.arange(RATE) / RATE)
     one, three = (

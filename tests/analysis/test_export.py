@@ -92,12 +92,6 @@ def test_judgements_are_those_of_the_model(table: analysis.Table, folder: Path) 
         items = rows.drop_duplicates(["scale", "stimulus"])
         within = items.groupby(["scale", "recording"])[f"{metric}_w"].sum()
         np.testing.assert_allclose(within, 0, atol=1e-9)
-    wide = pd.read_csv(folder / "wide_force.csv", dtype={"participant": str}).set_index(
-        "participant"
-    )
-    means = rows[rows["scale"] == "force"].groupby(["participant", "stimulus"])["rating"].mean()
-    assert wide.loc["003", "a_my321_2"] == means["003", "a-my321_2"]
-    assert wide.size == len(means)
 
 
 def test_slopes_are_those_of_fit_primary(table: analysis.Table, folder: Path) -> None:
@@ -163,25 +157,18 @@ def test_without_a_model_the_files_are_whole_and_the_script_says_why(
 
 
 def test_only_an_earlier_export_is_replaced(table: analysis.Table, tmp_path: Path) -> None:
-    some = table.rows[table.rows["reducer"] == "my321_0"]
-    both, one = (
-        analysis.Table(rows, table.metrics, ()) for rows in (some, some[some["scale"] == "force"])
-    )
-    place = export.export_r(both, tmp_path / "for-r")
+    rows = table.rows[table.rows["reducer"] == "my321_0"]
+    some = analysis.Table(rows, table.metrics, ())
+    place = export.export_r(some, tmp_path / "for-r")
     (place / "slopes_r.csv").touch()
     (place / "my.R").write_text("mine")
-    export.export_r(one, place)
-    kept = {path.name for path in place.iterdir()}
-    assert kept & {"wide_force.csv", "wide_realism.csv", "slopes_r.csv", "my.R"} == {
-        "wide_force.csv", "my.R",
-    }  # fmt: skip
-    (place / "study.toml").touch()
-    with pytest.raises(FileExistsError, match=r"for-r: is a study; give a new folder"):
-        export.export_r(one, place)
+    export.export_r(some, place)
+    assert (place / "my.R").read_text() == "mine"
+    assert not (place / "slopes_r.csv").exists()
     other = tmp_path / "other"
     other.mkdir()
-    (other / "README.txt").write_text("mine")
-    for path, why in ((other, "holds files that are not"), (other / "README.txt", "is a file")):
-        with pytest.raises(FileExistsError, match=why):
-            export.export_r(one, path)
+    (other / "model.R").write_text("mine")
+    for path in (other, other / "model.R"):
+        with pytest.raises(FileExistsError, match="holds files that are not"):
+            export.export_r(some, path)
     assert [path.read_text() for path in other.iterdir()] == ["mine"]

@@ -65,9 +65,8 @@ def test_every_metric_may_be_told_in_four_more_ways() -> None:
     }
     every = [[*(f"{metric}_{kind}" for kind in kinds), *own[metric]] for metric in MATCHES]
     assert list(describe_further()) == list(chain(*every))
-    meanings = [column.meaning for column in describe_further().values()]
+    meanings = list(describe_further().values())
     assert len(set(meanings)) == len(meanings)
-    assert all(not column.needed for column in describe_further().values())
 
 
 def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
@@ -89,9 +88,9 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
         assert found["value"] > 0.9
         assert found["low"] > 0.5
         assert other["high"] < found["low"]
-    (form,) = correlations.FURTHER.tables
+    (form,) = correlations.SECTIONS[1].tables
     assert form.caption.startswith("Exploratory")
-    assert not correlations.FURTHER.front
+    assert not correlations.SECTIONS[1].front
 
 
 def test_declared_ones_are_in_the_model_and_each_points_its_way(small: object) -> None:
@@ -136,15 +135,12 @@ def test_further_metrics_have_no_part_in_the_primary_analysis(small: object) -> 
     assert render_words("primary", **after.facts) == render_words("primary", **before.facts)
 
 
-def test_p1401_judges_them_too_and_compares_the_planned_ones_only(small: object) -> None:
+def test_p1401_judges_them_too(small: object) -> None:
     add_to_manifest(small, **{MEAN: draw_column(small)})
     table = read_table(small.ratings, small.manifest)
     rows = correlations.compute_standard(table, Choices(draws=2)).rows
     planned = {"spectral_match", "temporal_match"}
     assert {row["metric"] for row in rows["p1401"]} == {*planned, MEAN}
-    both = {row[key] for row in rows["p1401_differences"] for key in ("metric", "second_metric")}
-    assert both == planned
-    assert {row["metric"] for row in rows["repeated"]} == planned
 
 
 def test_values_may_be_handed_over_and_are_told(small: object) -> None:
@@ -193,7 +189,7 @@ def test_inputs_hold_digests_of_whatever_decided(small: object) -> None:
 
 def test_the_report_holds_them(small: object, monkeypatch: pytest.MonkeyPatch) -> None:
     # All others are another test's, and slow.
-    monkeypatch.setattr(report, "SECTIONS", (correlations.FURTHER,))
+    monkeypatch.setattr(report, "SECTIONS", correlations.SECTIONS[1:2])
     values = draw_column(small)
     folder = small.ratings.with_name("report")
     results = report.write_report(

@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from feel321.analysis.contrasts.compare import equivalence, participant_means, profile_reducers
-from feel321.analysis.contrasts.told_apart import discriminate
+from feel321.analysis.contrasts.compare import participant_means, profile_reducers
 from feel321.analysis.figures import kinds, style
 from feel321.analysis.figures.kinds import ForestRow, Mark
 from feel321.analysis.primary.model import fit_primary
@@ -55,22 +54,18 @@ def test_an_endless_interval_gets_an_arrow_and_squeezes_nothing() -> None:
     assert "no estimate" in [text.get_text() for text in axes.texts]
 
 
-@pytest.mark.parametrize("lines", [1, 2, 3])
-def test_a_text_has_so_many_lines_of_so_many_letters(lines: int) -> None:
-    fitted = style.fit_text(LONG, 2.0, lines=lines).splitlines()
-    assert len(fitted) <= lines
-    assert max(map(len, fitted)) <= 2.0 * style.LETTERS_PER_CM + 1
-    assert style.fit_text("short", 2.0) == "short"
-
-
-def test_equivalence_is_filled_and_all_have_one_margin() -> None:
-    near, far = (equivalence(value, se, 20, low=-5, high=5) for value, se in ((0.1, 0.5), (4.9, 2)))
-    (axes,) = kinds.draw_equivalence({"a − b": near, "a − c": far}).axes
-    faces = [line.get_markerfacecolor() for line in axes.lines if line.get_marker() == "o"]
-    assert faces == [style.BLACK, "white"]
-    other = equivalence(0.1, 0.5, 20, low=-3, high=3)
-    with pytest.raises(ValueError, match="one margin for all"):
-        kinds.draw_equivalence({"a − b": near, "b − c": other})
+def test_a_frame_of_estimates_has_a_mark_each_and_hollow_ones_where_it_says_so() -> None:
+    frame = pd.DataFrame({
+        "name": ["a", "a", "b"], "of": ["x", "y", "x"], "value": [0.1, 0.2, 9.0], "low": 0.0, "high": 10.0,
+        "filled": [True, False, True],
+    })  # fmt: skip
+    figure = kinds.draw_estimates(frame, "Points", series="of", band=(-5.0, 5.0))
+    (axes,) = figure.axes
+    marks = [line for line in axes.lines if line.get_marker() in set("os")]
+    assert [line.get_markerfacecolor() == "white" for line in marks] == [False, True, False]
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["a", "b"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["x", "y"]
+    assert len(axes.patches) == 1
 
 
 def test_values_of_eq_1_below_the_edge_are_hollow_at_the_edge() -> None:
@@ -98,7 +93,6 @@ def test_a_profile_has_the_best_on_top_and_anchors_below(tidy: Callable[..., pd.
     tests = profile[profile["role"] == "test"].sort_values("mean", ascending=False)
     assert labels[: len(tests)] == list(tests["reducer"])
     assert all("(" in label for label in labels[len(tests) :])
-    assert len(axes.collections) == len(profile)  # a cloud each
 
 
 def test_a_map_needs_a_name_for_each_stimulus() -> None:
@@ -116,11 +110,11 @@ def test_figures_are_saved_alike_and_are_as_wide_as_a_page(
 ) -> None:
     rows = tidy(participants=4, recordings=4, anchors=False)
     models = {"realism": fit_primary(rows, METRICS, explain=False)}
-    answers = {LONG: discriminate(9, 12), "sure": discriminate(12, 12)}
+    odd = pd.DataFrame({"name": [LONG, "sure"], "value": [0.5, np.nan], "low": 0.1, "high": 0.9})
     drawings = {
         "slopes": lambda: kinds.draw_slopes(models, {}),
         "residuals": lambda: kinds.draw_residuals(models),
-        "abx": lambda: kinds.draw_discrimination(answers),
+        "abx": lambda: kinds.draw_estimates(odd, "d′"),
     }
     for name, drawing in drawings.items():
         for number in "12":

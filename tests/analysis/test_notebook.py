@@ -59,31 +59,9 @@ def test_files_frames_and_a_folder_are_one_table(
 def test_a_table_has_the_shapes_that_others_take(realism: results.Table) -> None:
     assert realism.votes().shape == (36, 6)
     assert len(realism.items()) == 48
-    assert realism.wide().shape == (6, 48)
     assert realism.to_frame().equals(realism.rows)
     assert realism.summary().startswith("576 judgements: 6 participants, 48 stimulus")
     assert len(repr(realism)) <= 200
-    frame = realism.model_frame()
-    assert len(frame) == 6 * 36 * 2
-    primary = analysis.fit_primary(realism.rows, realism.metrics)
-    fitted = primary.fit
-    terms = fitted.fixed.index.drop("(Intercept)")
-    keys = ["participant", "recording", "item", "reducer"]
-    cells = frame.groupby(keys)[["rating", *terms]].mean().reset_index()
-    again = analysis.fit_mixed(fitted.formula, cells)
-    columns = ["estimate", "se", "t"]
-    pd.testing.assert_frame_equal(again.fixed[columns], fitted.fixed[columns])
-    most = 2.0 * (primary.n_sources - 1)
-    assert fitted.fixed["df"].tolist() == pytest.approx(again.fixed["df"].clip(upper=most).tolist())
-    assert {name.replace("`", "") for name in terms} <= set(frame)
-    of_recording = frame.groupby("recording")[["spectral_match_w"]].mean()
-    assert np.allclose(of_recording, 0, atol=1e-12)
-
-
-def test_a_wrong_selection_lists_the_right_ones(table: results.Table) -> None:
-    with pytest.raises(ValueError, match="scale must be one of realism, similarity; got 'realsim'"):
-        table.select(scale="realsim")
-    assert table.select("realism") == table.select(scale="realism")
 
 
 def test_ratings_in_memory_need_a_manifest(table: results.Table) -> None:
@@ -119,35 +97,6 @@ def test_two_reducers_are_compared_as_the_report_compares_them(realism: results.
     assert turned.estimate == pytest.approx(-found.estimate)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"second": "dft"}, "second must be one of .*did you mean 'dft321'"),
-        ({"second": "mag321"}, "second must be another reducer than the first"),
-        ({"margin": -5}, "margin must be above 0 points, got -5"),
-        ({"low": -5}, "margin must be one number, or low and high both"),
-    ],
-)
-def test_comparisons_that_cannot_be(
-    realism: results.Table, options: dict[str, object], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        analysis.compare_reducers(realism, **{"first": "mag321", "second": "dft321"} | options)
-
-
-def test_without_others_a_comparison_needs_more(realism: results.Table) -> None:
-    once = realism.rows[realism.rows["repeat"] == "1"]
-    alone = once[(once["participant"] == "p00") & (once["recording"] == "rec0")]
-    with pytest.raises(ValueError, match="nothing is left to judge a difference by"):
-        analysis.compare_reducers(alone, "mag321", "dft321", margin=5)
-    assert (
-        "participant"
-        not in analysis.compare_reducers(
-            once[once["participant"] == "p00"], "mag321", "dft321", margin=5
-        ).formula
-    )
-
-
 def test_statistics_of_votes_take_a_table(realism: results.Table) -> None:
     votes, metric = realism.votes(), realism.items().set_index("stimulus_id")["temporal_match"]
     icc = analysis.intraclass(realism).to_dict()
@@ -164,16 +113,6 @@ def test_statistics_of_votes_take_a_table(realism: results.Table) -> None:
     assert within == analysis.repeated_measures_correlation(
         rows["temporal_match"], rows["rating"], rows["participant"]
     )
-
-
-def test_judgements_against_other_references_are_left_out_and_counted(
-    realism: results.Table,
-) -> None:
-    rows = realism.rows.assign(matched=realism.rows["participant"] != "p00")
-    other = results.Table(rows, realism.metrics, ())
-    found = analysis.correlate(other, "temporal_match", draws=5)
-    assert found.n_participants == 5
-    assert "72 judgements against other references are left out." in found.notes
 
 
 def test_abx_and_dissimilarities_take_a_table(tidy: Callable[..., pd.DataFrame]) -> None:
@@ -236,37 +175,11 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
         analysis.plot_recording([1.0])
 
 
-def test_silence_has_a_spectrogram_at_its_floor() -> None:
-    silent = stimuli.Recording(np.zeros((3, 2000)), 2000.0, "silent")
-    ax = analysis.plot_spectrogram(silent, ax=Figure().subplots())
-    assert (ax.collections[0].get_array() == -80).all()
-
-
 def test_names_of_other_packages_are_repeated_rightly() -> None:
     assert schema.PLANNED == PLANNED
     assert schema.SURFACE == SURFACE
     scales = {protocol.scale for protocol in PROTOCOLS.values()}
     assert set(schema.APART) <= scales
-
-
-@pytest.mark.usefixtures("short")
-def test_a_report_of_tables_in_memory_is_that_of_their_files(
-    study: object, table: results.Table, tmp_path: Path
-) -> None:
-    frames = [pd.read_csv(path) for path in (study.ratings, study.manifest)]
-    filed = analysis.write_report(study.ratings, study.manifest, tmp_path / "a", draws=5)
-    framed = analysis.write_report(*frames, tmp_path / "b", draws=5)
-    whole = analysis.write_report(table, folder=tmp_path / "c", draws=5)
-    assert filed.numbers.equals(framed.numbers)
-    assert filed.numbers.equals(whole.numbers)
-    assert filed.inputs["ratings"] == "ratings.csv"
-    assert framed.inputs["ratings"] == whole.inputs["ratings"] == "a table in memory"
-    assert len(framed.inputs["manifest_sha256"]) == 64
-    assert "manifest" not in whole.inputs
-    with pytest.raises(ValueError, match="further and info must be left out with a Table"):
-        analysis.write_report(table, metrics=["temporal_match"], folder=tmp_path / "d")
-    with pytest.raises(TypeError, match="ratings must be a path"):
-        analysis.write_report(frames[0], folder=tmp_path / "d")
 
 
 def test_one_line_plots_what_has_one_obvious_plot(

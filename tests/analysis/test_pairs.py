@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-import json
-import math
-import re
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 import pytest
 
 from feel321.analysis.association.correlate import tabulate_correlations
-from feel321.analysis.contrasts.compare import profile_reducers
-from feel321.analysis.report import pairs
 from feel321.analysis.report.answer import find_row
-from feel321.analysis.report.parts import split_parts
 from feel321.analysis.report.write import write_report
+from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.reading import Table, read_table
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
@@ -90,36 +84,12 @@ def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(
     assert list(table.rows["rating"]) == [row[-1] for row in PAIRS]
 
 
-def test_other_scales_keep_their_direction(write: Callable[..., tuple[Path, Path]]) -> None:
-    judgements = [
-        ("p", "similarity", "orig", "dft321", 80),
-        ("p", "similarity", "dft321", "mag321", 30),
-    ]
-    assert list_judged(read_table(*write(judgements))) == [
-        ("orig", "reference"),
-        ("dft321", "test"),
-    ]
-
-
 def test_a_reducer_judged_against_itself_is_the_hidden_reference(
     write: Callable[..., tuple[Path, Path]],
 ) -> None:
     judgements = [("p", "mushra", name, "dft321", 50) for name in STIMULI]
     table = read_table(*write(judgements))
     assert list_judged(table) == list((STIMULI | {"dft321": "reference"}).items())
-
-
-def test_profiles_leave_out_pairs_of_two_reducers(write: Callable[..., tuple[Path, Path]]) -> None:
-    table = read_table(*write([*PAIRS, *(("q", *row[1:]) for row in PAIRS)]))
-    profile = profile_reducers(table.rows[table.rows["role"] != "pair"])
-    found = {(row["role"], row["reducer"]): row["mean"] for row in profile.to_dict("records")}
-    assert found == {
-        ("test", "mag321"): 60,
-        ("test", "dft321"): 20,
-        ("reference", "orig"): 0,
-        ("reference", "dft321"): 5,
-        ("anchor", "anchor_low"): 85,
-    }
 
 
 def test_without_reference_every_dissimilarity_is_from_the_reference(
@@ -160,20 +130,6 @@ def test_pairs_are_told_apart_by_both_where_repeats_count(
         read_table(*paths)
 
 
-def test_other_references_than_the_recording_are_noted(
-    write: Callable[..., tuple[Path, Path]],
-) -> None:
-    references = ["surface", "surface", "dft321", "ghost", "orig", ""]
-    table = read_table(*write([("p", "similarity", "mag321", name, 40) for name in references]))
-    assert [note for note in table.notes if note.startswith("Scale")] == [
-        "Scale 'similarity': 2 judgements were made against the real surface; the metrics compare with the recording.",
-        "Scale 'similarity': 1 judgements were made against what 'dft321' made of the recording; the metrics compare "
-        "with the recording: none enters an association or a slope.",
-        "Scale 'similarity': 1 judgements were made against what the manifest does not list; the metrics compare with "
-        "the recording.",
-    ]
-
-
 def test_metrics_speak_only_of_what_was_judged_against_its_recording(
     write: Callable[..., tuple[Path, Path]],
 ) -> None:
@@ -194,49 +150,8 @@ def test_metrics_speak_only_of_what_was_judged_against_its_recording(
         "elsewhere": False,
     }
     assert any("were made against a stimulus of another recording" in note for note in table.notes)
-    assert [len(part.rows) for part in split_parts(table)] == [4]
-    assert [len(part.rows) for part in split_parts(table, matched=False)] == [6]
-
-
-def test_both_stimuli_of_a_pair_count_as_rated(write: Callable[..., tuple[Path, Path]]) -> None:
-    notes = read_table(*write([("p", "dissimilarity", "mag321", "dft321", 40)])).notes
-    assert "2 of 4 stimuli of the manifest were rated by nobody: 'orig', 'anchor_low'." in notes
-    notes = read_table(*write([("p", "similarity", "mag321", "dft321", 40)])).notes
-    assert any(
-        note.startswith("3 of 4 stimuli of the manifest were rated by nobody") for note in notes
-    )
-
-
-def test_a_bad_attempt_and_the_good_one_share_a_trial(
-    write: Callable[..., tuple[Path, Path]],
-) -> None:
-    page = [("p", "mushra", name, "orig", 50) for name in STIMULI]
-    more = {"trial": [1] * 12, "session": [1] * 8 + [2] * 4, "rejected": [True] * 4 + [False] * 8}
-    table = read_table(*write([*page, *page, *page], more=more))
-    assert len(table.rows) == 8
-    assert "4 judgements marked as rejected are left out." in table.notes
-    with pytest.raises(
-        ValueError,
-        match=r"ratings.csv, lines 6, 7, 8 and 1 more: trial must occur once with the same",
-    ):
-        read_table(*write([*page, *page, *page], more=more | {"rejected": [False] * 12}))
-
-
-def test_who_has_no_valid_judgement_is_named(write: Callable[..., tuple[Path, Path]]) -> None:
-    judgements = [(name, "realism", "mag321", "", 50) for name in ("p", "q", "q", "r")]
-    table = read_table(*write(judgements, more={"rejected": [True, True, False, True]}))
-    assert "Participants without a valid judgement, who do not count: 'p', 'r'." in table.notes
-    assert set(table.rows["participant"]) == {"q"}
-
-
-def test_no_metric_is_set_against_right_and_wrong(tidy: Callable[..., pd.DataFrame]) -> None:
-    rated = tidy()
-    whole = Table(pd.concat([rated, tidy(scales=("abx",))]), ("spectral_match",), ())
-    found = tabulate_correlations(whole, method="all", draws=20)
-    assert set(found["scale"]) == {"realism"}
-    assert set(profile_reducers(whole)["scale"]) == {"realism", "abx"}
-    alone = tabulate_correlations(rated, ["spectral_match"], method="all", draws=20)
-    assert found.equals(alone)
+    assert [len(part.rows) for part in split_tests(table)] == [4]
+    assert [len(part.rows) for part in split_tests(table, matched=False)] == [6]
 
 
 def test_a_dissimilarity_from_the_original_is_a_similarity_turned_round(
@@ -253,63 +168,6 @@ def test_a_dissimilarity_from_the_original_is_a_similarity_turned_round(
     assert recast["value"].to_numpy() == pytest.approx(plain["value"].to_numpy())
     assert recast["n_items"].to_list() == plain["n_items"].to_list()
     assert (plain["value"] > 0.3).all()
-    frame = Table(turned.assign(source=turned["recording"]), ("spectral_match",), ()).model_frame()
-    tested = likeness[likeness["role"] == "test"]
-    assert sorted(frame["rating"]) == pytest.approx(sorted(tested["rating"]))
-
-
-def test_everybody_right_is_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy(scales=("abx",))
-    answers = np.where(table["reducer"] == "dft321", 100.0 * (table["repeat"] == 1), 100.0)
-    everyone = profile_reducers(table.assign(rating=answers))
-    assert everyone["low"].isna().all()
-    missed = (
-        (table["reducer"] == "mag321")
-        & (table["participant"] == "p01")
-        & (table["recording"] == "rec0")
-    )
-    row = (
-        profile_reducers(table.assign(rating=np.where(missed, 0.0, 100.0)))
-        .set_index("reducer")
-        .loc["mag321"]
-    )
-    means = np.array([100, 75, 100, 100, 100, 100.0])
-    assert row["mean"] == pytest.approx(means.mean())
-    assert row["high"] == 100
-    assert row["mean"] - row["low"] == pytest.approx(2.570582 * means.std(ddof=1) / math.sqrt(6))
-
-
-def read_page(folder: Path) -> str:
-    return re.sub(
-        r"<svg.*?</svg>", "", (folder / "index.html").read_text(encoding="utf-8"), flags=re.DOTALL
-    )
-
-
-@pytest.mark.usefixtures("sketched")
-def test_comparisons_alone_are_a_page_without_a_claim(
-    files: Callable[..., object], tmp_path: Path
-) -> None:
-    study = files(scales=("abx",))
-    ratings = pd.read_csv(study.ratings)
-    ratings["rating"] = np.where(ratings["rating"] > 50, 100.0, 0.0)
-    ratings.assign(reference_id=ratings["recording"] + "_original_as_is").to_csv(
-        study.ratings, index=False
-    )
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
-    assert results.answers["metrics"][0].startswith(
-        "These ratings do not show whether the metrics predict what people feel"
-    )
-    lead = "Scale 'abx': none of its 576 judgements enters an association, because they are right (100) or wrong (0)"
-    assert any(note.startswith(lead) for note in results.notes)
-    tables = results.numbers["table"]
-    assert not tables.isin(["associations", "differences"]).any()
-    assert (tables == "profiles").sum() == 12 * 4
-    page = read_page(tmp_path / "report")
-    assert "bootstrap" not in page
-    assert "Guessing gives 50 in ABX." in page
-    assert {"tables/participants.csv", "tables/profiles.csv"} <= set(results.files)
-    assert not [name for name in results.files if "association" in name or "slope" in name]
-    json.loads((tmp_path / "report" / "results.json").read_text(encoding="utf-8"))
 
 
 @pytest.mark.usefixtures("sketched")
@@ -338,43 +196,3 @@ def test_dissimilarities_from_the_original_answer_the_question(
     assert (other["value"], other["low"], other["high"]) == wanted
     n_tests = 6 * 2 * 4 * len(DEFAULT_REDUCERS)
     assert any(f"{n_tests} of its 576 judgements compare" in note for note in results.notes)
-
-
-def test_pairs_of_reducers_alone_are_a_page_too(
-    write: Callable[..., tuple[Path, Path]], tmp_path: Path
-) -> None:
-    paths = write([
-        ("p", "dissimilarity", "mag321", "dft321", 40),
-        ("q", "dissimilarity", "dft321", "mag321", 50),
-    ])
-    results = write_report(*paths, tmp_path / "report", draws=5, rng=0)
-    assert results.figures == {}
-    assert any(
-        "holds the 0 that compare with the reference, and leaves out 2." in note
-        for note in results.notes
-    )
-    assert "Ratings per reducer" not in read_page(tmp_path / "report")
-
-
-@pytest.mark.usefixtures("short")
-@pytest.mark.usefixtures("sketched")
-def test_groups_that_felt_different_levels_are_counted_apart(
-    files: Callable[..., object], tmp_path: Path
-) -> None:
-    study = files(levels=("as_is", "equal_intensity"), scales=("realism", "mushra"), anchors=False)
-    ratings = pd.read_csv(study.ratings)
-    is_odd = ratings["participant"].isin(["p01", "p03"])
-    own = (ratings["level"] == "equal_intensity") == is_odd
-    ratings[own & ((ratings["scale"] == "mushra") == is_odd)].to_csv(study.ratings, index=False)
-    results = write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
-    rows = results.numbers.query("metric == 'spectral_match' and method == 'Pearson'")
-    people = rows[rows["quantity"] == "n_participants"].set_index(["scale", "level"])["value"]
-    assert people.to_dict() == {("mushra", "equal_intensity"): 2, ("realism", "as_is"): 4}
-    assert rows.loc[rows["quantity"] == "n_missing", "value"].max() == 0
-
-
-def test_both_orders_of_a_pair_count_alike(write: Callable[..., tuple[Path, Path]]) -> None:
-    orders = (("mag321", "dft321", 20), ("dft321", "mag321", 40))
-    table = read_table(*write([("p", "dissimilarity", *order) for order in orders]))
-    arm = pairs._gather(table, table.rows, "as_is")
-    assert arm.matrices.tolist() == [[[0, 30], [30, 0]]]

@@ -71,7 +71,7 @@ def report(folder: Path, surprise: float, paper: Paper | None) -> Results:
 def surprised(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Results]:
     """Write a report of the first two sections only, which is quicker."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(write, "SECTIONS", (primary.SECTION,))
+        patch.setattr(write, "SECTIONS", primary.SECTIONS[:1])
         yield report(tmp_path_factory.mktemp("r") / "report", SURPRISE, PAPER)
 
 

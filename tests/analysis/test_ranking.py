@@ -10,7 +10,7 @@ import pytest
 
 from feel321.analysis.association.rivals import _score, find_influences, rank_metrics
 from feel321.analysis.page import render_words
-from feel321.analysis.report import rivals
+from feel321.analysis.report import primary
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import make_items
 from feel321.analysis.table.metrics import list_rivals
@@ -200,7 +200,7 @@ def add_columns(study: object, **columns: np.ndarray) -> None:
 def rank(study: object, **more: object) -> object:
     further = Further(pd.DataFrame(), rivals=tuple(list_rivals(study.manifest)))
     table = read_table(study.ratings, study.manifest, further=further, **more)
-    return rivals.compute(table, Choices(draws=100))
+    return primary.compute_rivals(table, Choices(draws=100))
 
 
 def say(study: object, **more: object) -> tuple[str, ...]:

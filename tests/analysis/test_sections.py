@@ -12,13 +12,11 @@ import pytest
 from feel321.analysis.contrasts.compare import equivalence, non_inferiority
 from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import adjust_holm
-from feel321.analysis.report import correlations, pairs, parts, raters, reducers, robustness
+from feel321.analysis.report import primary, raters, reducers
+from feel321.analysis.report import section as parts
 from feel321.analysis.report.answer import find_row
 from feel321.analysis.resampling import Choices
-from feel321.analysis.standard import compare_p1401, p1401
-from feel321.analysis.table.items import make_items
 from feel321.analysis.table.reading import Table, read_table
-from feel321.analysis.table.schema import ANSWERED
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,17 +56,6 @@ def test_contrasts_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
         )
     n_differ = find_row(found.rows["reducers_together"], "n_differ")["value"]
     assert n_differ == sum(row["p"] < 0.05 for row in differences) > 0
-
-
-def test_raters_who_ignore_the_scale_show_no_equivalence(tidy: Callable[..., pd.DataFrame]) -> None:
-    rows = tidy(1, participants=12, recordings=6)
-    noise = np.random.default_rng(2).uniform(0, 100, len(rows))
-    found = reducers.compute_contrasts(Table(rows.assign(rating=noise), METRICS, ()), CHOICES)
-    assert all(np.isnan(row["p"]) for row in pick(found.rows["contrasts"], "difference_90"))
-    assert not pick(found.rows["contrasts"], "equivalent")
-    assert not found.pictures
-    (line,) = render_words("contrasts", **found.facts)
-    assert "equivalence is not tested" in line
 
 
 @pytest.mark.parametrize(
@@ -113,14 +100,6 @@ def test_levels_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     assert not any("hint" in line for line in told)
 
 
-def test_levels_of_one_participant_are_a_hint(tidy: Callable[..., pd.DataFrame]) -> None:
-    rows = make_arms(tidy, participants=1, recordings=8, noise=2.0)
-    found = reducers.compute_levels(Table(rows, METRICS, ()), CHOICES)
-    *_, spectral, temporal = render_words("levels", **found.facts)
-    assert spectral.endswith("; with 1 participant a hint rather than a result.")
-    assert "hint" not in temporal
-
-
 # Raters.
 
 
@@ -163,79 +142,15 @@ def test_one_rater_left_of_several_gives_no_slope(read: Callable[..., Table]) ->
     assert not any(np.isnan(row["value"]) for row in everyone)
 
 
-# For comparison with the literature.
-
-
-@pytest.mark.parametrize("order", [1, 3])
-def test_differences_are_those_of_p1401(tidy: Callable[..., pd.DataFrame], order: int) -> None:
-    table = Table(tidy(1, recordings=6, participants=6), METRICS, ())
-    found = correlations.compute_standard(table, CHOICES)
-    (part,) = parts.split_parts(table)
-    items = make_items(part.rows, METRICS)
-    judged = [p1401(items.ratings.T, values, order=order) for values in items.metrics]
-    wanted = compare_p1401(*judged)
-    keys = {"order": order, "mapping": "fitted"}
-    for name in ("plcc_z", "outlier_z", "rmse_f", "rmse_star_f"):
-        row = find_row(found.rows["p1401_differences"], name, **keys)
-        p = getattr(wanted, f"{name[:-2]}_p")
-        assert (row["value"], row["p"]) == pytest.approx((getattr(wanted, name), p), nan_ok=True)
-    row = find_row(found.rows["p1401"], "rmse", metric=METRICS[0], **keys)
-    assert (row["value"], row["low"]) == pytest.approx((judged[0].rmse, judged[0].rmse_low))
-
-
-def test_one_metric_has_no_differences(tidy: Callable[..., pd.DataFrame]) -> None:
-    rows = tidy(1, recordings=6, participants=6).drop(columns="temporal_match")
-    found = correlations.compute_standard(Table(rows, METRICS[:1], ()), CHOICES)
-    assert not found.rows["p1401_differences"]
-    assert not found.rows["dependent"]
-
-
 # What a section does not do, and says so.
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"draws": 1}, "draws must be 2 or more, got 1"),
-        ({"margin": 0.0}, "margin must be above 0.*got 0.0"),
-        ({"margin": float("nan")}, "margin must be above 0.*got nan"),
-        ({"margin": float("inf")}, "margin must be above 0.*got inf"),
-    ],
-)
-def test_choices_that_cannot_be_are_refused(changes: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Choices(**changes)
-
-
-@pytest.mark.parametrize(
-    ("module", "limit", "size", "told"),
-    [
-        (
-            robustness,
-            "MOST_CELLS",
-            6 * 4 * 9 - 1,
-            "for 216 participant x stimulus cells; up to 215 are varied.",
-        ),
-        (parts, "MOST_DENSE", 3, "They are left out, for these ratings are too many for one fit."),
-    ],
-)
+@pytest.mark.parametrize(("module", "limit"), [(primary, "MOST_CELLS"), (parts, "MOST_DENSE")])
 def test_ratings_too_many_to_be_varied_are_told(
-    tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch, module: object, limit: str, size: int, told: str
-) -> None:  # fmt: skip
-    monkeypatch.setattr(module, limit, size)
-    found = robustness.compute(Table(tidy(), METRICS, ()), CHOICES)
-    (note,) = found.notes
-    assert note.endswith(told)
-    assert found.is_empty
-
-
-def test_answers_that_are_neither_right_nor_wrong_are_not_evaluated(
-    tidy: Callable[..., pd.DataFrame],
+    tidy: Callable[..., pd.DataFrame], monkeypatch: pytest.MonkeyPatch, module: object, limit: str
 ) -> None:
-    rows = tidy().assign(scale=ANSWERED)
-    rows["rating"] = rows["rating"].gt(50) * 100.0
-    rows.loc[rows.index[:3], "rating"] = 55.0
-    found = pairs.compute_discrimination(Table(rows, METRICS, ()), CHOICES)
-    told = f"Scale '{ANSWERED}' is not evaluated: 3 answers are neither 100 (right) nor 0 (wrong)."
-    assert found.notes == (told,)
+    monkeypatch.setattr(module, limit, 3)
+    found = primary.compute_robustness(Table(tidy(), METRICS, ()), CHOICES)
+    (note,) = found.notes
+    assert note.endswith("no variants. 216 participant x stimulus cells are too many.")
     assert found.is_empty

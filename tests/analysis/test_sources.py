@@ -15,7 +15,6 @@ from feel321.analysis.primary.sensitivity import leave_out_units
 from feel321.analysis.report import reducers as contrasts
 from feel321.analysis.report import reducers as levels
 from feel321.analysis.resampling import Choices
-from feel321.analysis.table.items import find_sources, format_recordings, make_items
 from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
@@ -111,36 +110,6 @@ def test_sources_are_left_out_whole(rows: pd.DataFrame) -> None:
     assert names == [*(f"without source {number}" for number in range(3)), *reducers]
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda rows: rows.drop(columns="reducer"),
-            "15 recordings of 5 sources and no column 'reducer'",
-        ),
-        (lambda rows: rows.assign(source=rows["reducer"]), "got two sources of recording 0"),
-        (
-            lambda rows: rows.assign(reducer=rows["participant"]),
-            "got item 0 with two recordings, two reducers",
-        ),
-    ],
-)
-def test_sources_that_contradict_the_table_are_refused(
-    rows: pd.DataFrame, change: Callable[[pd.DataFrame], pd.DataFrame], message: str
-) -> None:
-    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared below
-        fit_primary(change(rows), METRICS)
-    assert message in str(caught.value)
-
-
-def test_a_recording_of_which_nothing_is_said_is_its_own_source() -> None:
-    table = pd.DataFrame({"recording": ["a", "b", "c", "c"], "source": ["", np.nan, "b", "b"]})
-    assert find_sources(table).to_dict() == {"a": "a", "b": "b", "c": "b"}
-    judged = table.assign(participant="p", stimulus_id=["1", "2", "3", "3"], rating=1.0)
-    assert make_items(judged, []).of_source.tolist() == [0, 1, 1]
-    assert format_recordings(2, 1) == "2 recordings of 1 source"
-
-
 def copy_files(files: Callable[..., object], **design: object) -> tuple[object, dict[str, str]]:
     """Write a study in which every recording occurs three times, rated the same."""
     study = files(participants=6, recordings=4, scales=("realism",), anchors=False, **design)
@@ -187,19 +156,6 @@ def test_copies_add_no_certainty_to_what_is_said_of_reducers_and_levels(
     assert (believed / one).min() < 0.75
 
 
-def test_copies_add_no_certainty_to_slopes(rows: pd.DataFrame) -> None:
-    alone = rows[rows["recording"] % 3 == 0]
-    copies = [
-        alone.assign(recording=alone["recording"] + turn, item=alone["item"] + 1000 * turn)
-        for turn in range(3)
-    ]
-    copied = pd.concat(copies, ignore_index=True)
-    one, known = (fit_primary(table, METRICS).slopes["se"] for table in (alone, copied))
-    believed = fit_primary(copied.drop(columns="source"), METRICS).slopes["se"]
-    assert (known / one).to_numpy() == pytest.approx(1, abs=0.2)
-    assert ((believed / one) < 0.85).any()
-
-
 @pytest.mark.soak
 def test_the_primary_test_holds_its_level_where_recordings_are_turned() -> None:
     """400 studies of 8 people, 5 sources turned to three recordings each, 5 reducers: 4-7 % false positives."""
@@ -208,10 +164,3 @@ def test_the_primary_test_holds_its_level_where_recordings_are_turned() -> None:
     print(f"false positives, sm and tm: {share}")  # noqa: T201 - the figure
     least, most = binom.ppf([0.025, 0.975], 2 * STUDIES, [0.04, 0.07]) / (2 * STUDIES)
     assert least <= share.mean() <= most
-
-
-def test_a_table_without_recordings_has_no_sources() -> None:
-    with pytest.raises(
-        ValueError, match="rows: column recording is missing; got participant, rating"
-    ):
-        find_sources(pd.DataFrame({"participant": ["a"], "rating": [1.0]}))

@@ -9,7 +9,6 @@ from feel321.analysis.space import (
     bootstrap_space,
     fit_space,
     refit_space,
-    regress_attributes,
     stress_by_dimension,
 )
 
@@ -89,19 +88,6 @@ def test_procrustes_is_scipys() -> None:
     assert ((result.aligned - other) ** 2).sum() == pytest.approx(
         result.disparity * ((other - other.mean(axis=0)) ** 2).sum()
     )
-
-
-def test_an_attributes_direction_is_found() -> None:
-    place, _ = make_people(stimuli=40)
-    rng = np.random.default_rng(0)
-    attributes = {"rough": place @ [3, 4] + rng.normal(0, 0.1, 40), "noise": rng.normal(size=40)}
-    table = regress_attributes(place, attributes)
-    assert table.loc["rough", ["axis_1", "axis_2"]].to_numpy(float) == pytest.approx(
-        [0.6, 0.8], abs=0.03
-    )
-    assert table.loc["rough", "r2"] > 0.99
-    assert table.loc["noise", "p"] > 0.01
-    assert table.loc["noise", "df"] == 37
 
 
 def test_ellipses_shrink_with_participants_and_follow_the_movement() -> None:
@@ -195,21 +181,6 @@ def test_impossible_requests_are_refused() -> None:
         ValueError, match="reference must have a shape, got all stimuli in one place"
     ):
         align_spaces(place, np.full((4, 2), 33.3), rng=rng)
-    with pytest.raises(
-        ValueError,
-        match="positions must be of 4 stimuli or more, in 2 independent dimensions, got 3",
-    ):
-        regress_attributes(place[:3], {})
-    with pytest.raises(ValueError, match="attribute 'a' must be 4 finite numbers"):
-        regress_attributes([[0, 0], [1, 0], [0, 1], [2, 2]], {"a": [1, 2]})
-    with pytest.raises(ValueError, match="attribute 'a' must differ between stimuli"):
-        regress_attributes([[0, 0], [1, 0], [0, 1], [2, 2]], {"a": [33.3] * 4})
-    with pytest.raises(ValueError, match="or a dimension that follows from the others"):
-        regress_attributes(place, {"a": [1, 2, 3, 5]})
-    with pytest.raises(
-        ValueError, match="positions must hold numbers: could not convert string to float: 'x'"
-    ):
-        regress_attributes([["x", 1], [2, 3], [4, 5], [5, 9]], {"a": [1, 2, 3, 5]})
     with pytest.raises(ValueError, match="dissimilarities must be of two participants or more"):
         bootstrap_space(GOOD, rng=rng)
     with pytest.raises(ValueError, match="draws must be 3 or more, got 2"):

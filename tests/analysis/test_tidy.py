@@ -13,14 +13,7 @@ from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.screening.screen import screen_raters
-from feel321.analysis.table.items import (
-    find_sources,
-    leave_rejected,
-    leave_untested,
-    make_items,
-    name_items,
-    name_stimuli,
-)
+from feel321.analysis.table.items import find_sources, leave_rejected, make_items
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,13 +69,6 @@ def test_screening_and_means_leave_rejected_judgements_out(
     pd.testing.assert_frame_equal(stimulus_means(marked), stimulus_means(rated))
 
 
-def test_what_is_not_rejected_must_have_a_rating(marked: pd.DataFrame) -> None:
-    with pytest.raises(
-        ValueError, match="ratings: column 'rating' must be finite, got 1 values that are not"
-    ):
-        count(marked.assign(rejected=False), METRICS[0])
-
-
 @pytest.mark.parametrize(
     "marks",
     [
@@ -128,42 +114,6 @@ def test_recording_and_reducer_name_the_items_of_a_model(rated: pd.DataFrame) ->
     )
 
 
-def test_a_coarser_column_does_not_name_the_stimulus(rated: pd.DataFrame) -> None:
-    excerpts = rated.drop(columns="stimulus_id").assign(item=rated["recording"])
-    assert count(excerpts, METRICS[0]).n_items == count(rated, METRICS[0]).n_items
-    assert "stimulus_id" not in name_stimuli(excerpts)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda f: f.assign(item=f["repeat"]),
-            "several values of 'item' for recording x reducer x level rec0/",
-        ),
-        (
-            lambda f: f.drop(columns="reducer").assign(item=1, stimulus=f["reducer"]),
-            "of 'stimulus' for item 1; which",
-        ),
-        (
-            lambda f: f.drop(columns="reducer").assign(item=f["reducer"], stimulus=1),
-            "of 'item' for stimulus 1; which",
-        ),
-    ],
-)
-def test_names_that_contradict_each_other_are_refused(
-    rated: pd.DataFrame, change: Callable[[pd.DataFrame], pd.DataFrame], message: str
-) -> None:
-    with pytest.raises(ValueError, match="stimulus_id") as caught:
-        count(change(rated.drop(columns="stimulus_id")), METRICS[0])
-    assert message in str(caught.value)
-
-
-def test_no_name_is_made_up() -> None:
-    bare = pd.DataFrame({"participant": ["a"], "recording": ["r"], "rating": [1.0]})
-    assert name_items(bare).columns.tolist() == bare.columns.tolist()
-
-
 @pytest.mark.parametrize("column", ["stimulus_id", "recording", "participant", "level"])
 def test_rows_without_a_name_are_refused_not_dropped(rated: pd.DataFrame, column: str) -> None:
     lost = rated.assign(**{column: rated[column].where(rated.index > 1)})
@@ -183,13 +133,6 @@ def test_repeats_are_averaged_whatever_the_order_of_rows(tidy: Callable[..., pd.
         order = [name.replace("/", "_") for name in items.names]
         np.testing.assert_allclose(items.ratings, means[order], rtol=1e-14)
         assert items.n_recordings == 3
-
-
-def test_one_of_something_is_said_in_the_singular() -> None:
-    rows, notes = leave_untested(pd.DataFrame({"rating": [40.0, 99.0], "role": ["test", "anchor"]}))
-    assert rows["rating"].tolist() == [40.0]
-    other = "of other stimuli than test stimuli (hidden references, anchors)"
-    assert notes == (f"1 rating {other} is left out.",)
 
 
 def test_a_recording_without_a_source_is_its_own() -> None:

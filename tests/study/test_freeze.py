@@ -338,7 +338,7 @@ def test_the_report_of_a_frozen_study(
     from feel321.analysis.report import primary, reducers
 
     monkeypatch.setattr(
-        "feel321.analysis.report.write.SECTIONS", (primary.SECTION, reducers.PROFILES)
+        "feel321.analysis.report.write.SECTIONS", (primary.SECTIONS[0], reducers.SECTIONS[1])
     )
     monkeypatch.setattr("feel321.analysis.report.folder.save_figure", _save_nothing)
     freeze(smallest)

@@ -195,7 +195,7 @@ def test_demo_runs_the_whole_chain_and_goes_on_where_it_was(
     assert ratings.count(b"\n") == 1 + 16 * 144
     monkeypatch.chdir(tmp_path)
     # The second report may be short.
-    monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", (correlations.SECTION,))
+    monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", correlations.SECTIONS[:1])
     assert main(["demo", "--out", "demo"]) == 0
     again = capsys.readouterr()
     assert (again.err, again.out) == (first.stderr, first.stdout)

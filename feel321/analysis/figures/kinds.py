@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from feel321.analysis.association.correlate import Panel
     from feel321.analysis.primary.model import Primary
-    from feel321.analysis.screening.consistency import RaterModel
     from feel321.records import Statistic
 
     Values = NDArray[np.float64]
@@ -64,14 +64,6 @@ class ForestRow(NamedTuple):
 
     label: str
     marks: tuple[Mark, ...] = ()
-
-
-def _mark(
-    row: Mapping[Any, Any], name: str = "", *, look: Look = PLAIN, filled: bool = True
-) -> Mark:
-    """Make the mark of a row's estimate: value, low and high, or those of a name."""
-    value, lead = (row[name], f"{name}_") if name else (row["value"], "")
-    return Mark(float(value), float(row[f"{lead}low"]), float(row[f"{lead}high"]), look, filled)
 
 
 def plot_forest(
@@ -136,12 +128,7 @@ def _plot_mark(axes: Axes, mark: Mark, *, height: float, limits: tuple[float, fl
 
 
 def draw_forest(
-    rows: Sequence[ForestRow],
-    label: str,
-    *,
-    title: str = "",
-    include: Iterable[float] = (),
-    zero: bool = True,
+    rows: Sequence[ForestRow], label: str, *, include: Iterable[float] = (), zero: bool = True
 ) -> tuple[Figure, Axes]:
     """Draw a forest as a figure of its own."""
     marks = max((len(row.marks) for row in rows), default=1)
@@ -150,45 +137,75 @@ def draw_forest(
         figure, axes = style.new_figure(height)
         plot_forest(axes, rows, include=include, zero=zero)
         axes.set_xlabel(label)
-        if title:
-            style.add_title(figure, title)
     return figure, axes
 
 
-def _look_up(metrics: Iterable[str]) -> dict[str, Look]:
-    """Give every metric a grey and a marker."""
-    names = enumerate(dict.fromkeys(map(str, metrics)))
+def look_up(names: Iterable[str]) -> dict[str, Look]:
+    """Give every metric or scale a grey and a marker."""
     return {
         name: Look((style.BLACK, style.GREY)[i % 2], style.MARKERS[i % len(style.MARKERS)])
-        for i, name in names
+        for i, name in enumerate(dict.fromkeys(map(str, names)))
     }
 
 
-def _add_metrics(figure: Figure, looks: Mapping[str, Look]) -> None:
-    if len(looks) > 1:
-        with style.print_style():
-            style.add_legend(
-                figure,
-                style.make_handles({format_name(name): look for name, look in looks.items()}),
+def draw_estimates(  # noqa: PLR0913 - what a forest may have, by name
+    frame: DataFrame,
+    label: str,
+    *,
+    columns: str = "value low high",
+    series: str = "",
+    lines: Mapping[str, float] = MappingProxyType({"-": 0.0}),
+    band: tuple[float, float] = (np.nan, np.nan),
+    title: str = "",
+) -> Figure:
+    """Draw estimates with their intervals: a row per name, a mark per series.
+
+    frame: the column `name`, those of value, low and high, that of the series, and `filled` where some are hollow.
+    lines: line style -> place of a vertical line; band: places between which it is shaded.
+    """
+    looks = look_up(frame[series]) if series else {}
+    value, low, high = columns.split()
+    rows = []
+    for name, part in frame.groupby("name", sort=False):
+        marks = tuple(
+            Mark(
+                row[value], row[low], row[high], looks[str(row[series])] if series else PLAIN,
+                bool(row.get("filled", True)),
             )
+            for row in part.to_dict("records")
+        )  # fmt: skip
+        rows.append(ForestRow(str(name), marks))
+    known = [place for place in (*lines.values(), *band) if np.isfinite(place)]
+    figure, axes = draw_forest(rows, label, include=known, zero=False)
+    for line, place in lines.items():
+        if np.isfinite(place):
+            colour, width = (style.GREY, 0.6) if line == "-" else (style.BLACK, 1.0)
+            axes.axvline(place, linestyle=line, color=colour, linewidth=width, zorder=1)
+    if np.isfinite(band).all():
+        axes.axvspan(*band, color=style.PALE, linewidth=0, zorder=0)
+    with style.print_style():
+        if title:
+            style.add_title(figure, title)
+        if len(looks) > 1:
+            named = {format_name(name): look for name, look in looks.items()}
+            style.add_legend(figure, style.make_handles(named))
+    return figure
 
 
 def list_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Iterator[ForestRow]:
     """List the slopes of primary models as rows: a heading per model, a row per metric."""
-    looks = _look_up(name for model in models.values() for name in model.slopes.index)
+    looks = look_up(name for model in models.values() for name in model.slopes.index)
     several = len({step.per for step in steps.values()}) > 1
     for attribute, model in models.items():
         yield ForestRow(format_name(attribute))
-        for metric, row in zip(
-            map(str, model.slopes.index), model.slopes.to_dict("records"), strict=True
-        ):
+        for row in model.slopes.reset_index().to_dict("records"):
+            metric = str(row["metric"])
             step = steps.get(metric, Step())
             value, low, high = (
                 row[f"tenth{end}"] * step.size / TENTH for end in ("", "_low", "_high")
             )
             name = format_name(metric) + f", per {step.per}" * several
-            mark = Mark(value, low, high, looks[metric], not model.fit.singular)
-            yield ForestRow(name, (mark,))
+            yield ForestRow(name, (Mark(value, low, high, looks[metric], not model.fit.singular),))
 
 
 def draw_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Figure:
@@ -196,109 +213,6 @@ def draw_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Fig
     per = {step.per for step in steps.values()}
     label = f"Points of rating per {per.pop() if len(per) == 1 else 'step'} of metric"
     return draw_forest(list(list_slopes(models, steps)), label)[0]
-
-
-def draw_variants(table: DataFrame) -> Figure:
-    """Draw standardised slopes under other choices: a row per choice, a mark per metric."""
-    looks, rows = _look_up(table["metric"]), []
-    for variant, part in table.groupby("variant", sort=False):
-        marks = (
-            _mark(row, "standardised", look=looks[str(row["metric"])], filled=not row["singular"])
-            for row in part.to_dict("records")
-        )
-        rows.append(ForestRow(str(variant), tuple(marks)))
-    figure, _ = draw_forest(rows, "SD of ratings per SD of metric")
-    _add_metrics(figure, looks)
-    return figure
-
-
-def draw_equivalence(tests: Mapping[str, Statistic]) -> Figure:
-    """Draw 90 % intervals of differences, such as ``dft321 − mag321``, against the margin of equivalence."""
-    margins = {(test.low, test.high) for test in tests.values()}
-    if len(margins) != 1:
-        raise ValueError(
-            f"contrasts must have one margin for all, got {len(margins)}; draw a figure for each"
-        )
-    ((low, high),) = margins
-    rows = [
-        ForestRow(name, (Mark(test.estimate, test.low90, test.high90, PLAIN, test.equivalent),))
-        for name, test in tests.items()
-    ]
-    figure, axes = draw_forest(rows, "Difference (points of rating)", include=(low, high))
-    axes.axvspan(low, high, color=style.PALE, linewidth=0, zorder=0)
-    return figure
-
-
-def draw_ranking(table: DataFrame, *, ceiling: float, level: float, size: str) -> Figure:
-    """Draw the out-of-fold correlation of every metric, the best first, with the noise ceiling and level alone."""
-    rows = [
-        ForestRow(format_name(str(metric)), (_mark(row, filled=bool(row["may_be_best"])),))
-        for metric, row in table.to_dict("index").items()
-    ]
-    known = [value for value in (ceiling, level) if np.isfinite(value)]
-    title = f"{len(rows)} metrics, {size}."
-    figure, axes = draw_forest(
-        rows, "Correlation within recordings, out of fold", title=title, include=known
-    )
-    for value, line in ((ceiling, "--"), (level, ":")):
-        if np.isfinite(value):
-            axes.axvline(value, color=style.BLACK, linestyle=line, linewidth=1.0, zorder=1)
-    return figure
-
-
-def draw_shares(found: Statistic) -> Figure:
-    """Draw the percentage of choices that each metric predicts, the highest first, against chance."""
-    table = found.shares.sort_values("share", ascending=False, kind="stable")
-    rows = [
-        ForestRow(
-            format_name(str(name)), (Mark(*(100 * row[key] for key in ("share", "low", "high"))),)
-        )
-        for name, row in table.to_dict("index").items()
-    ]
-    known = [100 * share for share in (found.others, found.majority) if np.isfinite(share)]
-    figure, axes = draw_forest(rows, "Choices predicted (%)", include=[50.0, *known], zero=False)
-    axes.axvline(50.0, color=style.GREY, linewidth=0.6, zorder=1)
-    if known:
-        axes.axvspan(min(known), max(known), color=style.PALE, linewidth=0, zorder=0)
-    return figure
-
-
-def draw_discrimination(results: Mapping[str, Statistic]) -> Figure:
-    """Draw the d' of each pair of stimuli that was compared in ABX trials, by the pair's name."""
-    if not results:
-        raise ValueError("results must hold one pair or more, got none")
-    rows = [
-        ForestRow(
-            f"{name} ({one.n_correct}/{one.n_trials})",
-            (Mark(one.d_independent, one.d_independent_low, one.d_independent_high),),
-        )
-        for name, one in results.items()
-    ]
-    rows = [
-        row._replace(
-            marks=tuple(mark if np.isfinite(mark.value) else Mark(np.nan) for mark in row.marks)
-        )
-        for row in rows
-    ]
-    return draw_forest(rows, "d′")[0]
-
-
-def draw_raters(models: Sequence[tuple[str, RaterModel]], flagged: set[str]) -> Figure:
-    """Draw the inconsistency of every rater: a row per rater, a mark per scale and level; filled: flagged."""
-    looks = _look_up(name for name, _ in models)
-    people = sorted({str(who) for _, model in models for who in model.raters.index})
-    rows = []
-    for who in people:
-        marks = []
-        for name, model in models:
-            if who in map(str, model.raters.index):
-                row = model.raters.loc[[who]].to_dict("records")[0]
-                value, half = row["inconsistency"], 1.96 * row["inconsistency_se"]
-                marks.append(Mark(value, value - half, value + half, looks[name], who in flagged))
-        rows.append(ForestRow(who, tuple(marks)))
-    figure, _ = draw_forest(rows, "Inconsistency (points)")
-    _add_metrics(figure, looks)
-    return figure
 
 
 # Scatter: stimuli as points, their ratings against a metric, delivered against intended, residuals.
@@ -443,16 +357,13 @@ def draw_residuals(models: Mapping[str, Primary]) -> Figure:
     return figure
 
 
-# Profile: ratings per reducer, every participant, their distribution, the mean and its interval.
-
-CLOUD, CLOUD_POINTS = 3, 81
-"""Participants that a distribution needs, and points of its outline."""
+# Profile: ratings per reducer, every participant, the mean and its interval.
 
 
 def draw_profiles(
     parts: Sequence[tuple[str, DataFrame, DataFrame]], looks: Mapping[str, Look]
 ) -> Figure:
-    """Draw rainclouds of scales and levels, by name: rows per reducer, and means per participant."""
+    """Draw the profiles of scales and levels, by name: rows per reducer, and means per participant."""
     columns = min(2, len(parts))
     rows = max(len(profile) for _, profile, _ in parts)
     with style.print_style():
@@ -503,8 +414,6 @@ def plot_profile(
         )
     for (role, reducer), height in places.items():
         row, look = means[role, reducer], looks.get(reducer, PLAIN)
-        own = people[(people["role"] == role) & (people["reducer"] == reducer)]
-        _plot_cloud(axes, own["rating"].to_numpy(np.float64), height=height, look=look)
         if np.isfinite(row["low"]):
             axes.plot(
                 [row["low"], row["high"]],
@@ -520,26 +429,6 @@ def plot_profile(
     ]
     axes.set_yticks(list(places.values()), labels)
     axes.set(xlim=(LOWEST - 2, HIGHEST + 2), ylim=(max(places.values()) + 0.6, -0.8))
-
-
-def _plot_cloud(axes: Axes, ratings: Values, *, height: float, look: Look) -> None:
-    """Plot how the participants' means are distributed, above their row."""
-    if len(np.unique(ratings)) < CLOUD:
-        return
-    place = np.linspace(LOWEST, HIGHEST, CLOUD_POINTS)
-    width = ratings.std(ddof=1) * len(ratings) ** -0.2  # Scott's rule
-    density = np.exp(-0.5 * np.square((place[:, None] - ratings) / width)).sum(axis=1)
-    seen = density > 0.01 * density.max()
-    top = height - 0.14 - 0.5 * density / density.max()
-    axes.fill_between(
-        place[seen],
-        np.full(seen.sum(), height - 0.14),
-        top[seen],
-        color=look.colour,
-        alpha=0.3,
-        linewidth=0,
-        zorder=2,
-    )
 
 
 # Map of stimuli: what people tell apart, and how sure each place is.

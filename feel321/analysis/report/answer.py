@@ -20,15 +20,16 @@ if TYPE_CHECKING:
 
 OPPOSITE = "opposite"
 NAMED = 2
-"""Exceptional reducers that the sentence names before it only counts."""
+"""Exceptional reducers, and findings of other protocols, that the sentence names before it only counts."""
+
+PLACE = ("scale", "level", "metric")
+BLANK = dict.fromkeys(("value", "low", "high"), math.nan)
 
 
 def find_row(rows: Iterable[Row], quantity: str, **keys: Any) -> Row | None:  # noqa: ANN401 - keys of a row
     """Find the row of a quantity by its keys."""
-    wanted = {"quantity": quantity, **keys}
-    return next(
-        (row for row in rows if all(row.get(key) == value for key, value in wanted.items())), None
-    )
+    wanted = {"quantity": quantity, **keys}.items()
+    return next((row for row in rows if all(row.get(key) == one for key, one in wanted)), None)
 
 
 def make_cards(found: Mapping[str, Found]) -> list[Row]:
@@ -37,40 +38,29 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
     slopes = found["primary"].rows.get("slopes", ()) if verdicts else ()
     alone = found["metrics"].rows.get("associations", ()) if "metrics" in found else ()
     without = found["raters"].facts.get("unflagged", ()) if "raters" in found else ()
-    unflagged = {(row["scale"], row["level"], row["metric"]): row["verdict"] for row in without}
+    unflagged = {tuple(row[key] for key in PLACE): row["verdict"] for row in without}
     cards = []
     for verdict in verdicts:
-        place = {key: verdict[key] for key in ("scale", "level", "metric")}
+        place = {key: verdict[key] for key in PLACE}
+        within = place | {"method": format_method(DRAWN)}
         effect = find_row(slopes, "slope_quartile", **place)
-        method = format_method(DRAWN)
-        r = find_row(alone, "r", method=method, **place)
-        ceiling = find_row(alone, "ceiling", method=method, **place)
-        others = [
-            one["metric"]
-            for one in verdicts
-            if one["subject"] == verdict["subject"] and one is not verdict
-        ]
+        r = find_row(alone, "r", **within) or BLANK
+        others = [one["metric"] for one in verdicts if one["subject"] == verdict["subject"]]
         known = [
             name
             for name in others
-            if find_row(slopes, "slope_quartile", **place | {"metric": name})
+            if name != verdict["metric"]
+            and find_row(slopes, "slope_quartile", **place | {"metric": name})
         ]
-        card = {
-            **verdict, "effect": _take_ends(effect), "r": _take_ends(r), "ceiling": _take_ends(ceiling)["value"],
+        predicts, size = verdict["verdict"] == PREDICTS, (effect or BLANK)["value"]
+        cards.append({
+            **verdict, "effect": {end: (effect or BLANK)[end] for end in BLANK}, "r": {end: r[end] for end in BLANK},
+            "ceiling": (find_row(alone, "ceiling", **within) or BLANK)["value"],
             "given": known if effect else [], "unflagged": unflagged.get(tuple(place.values()), ""),
             "outcome": OPPOSITE if verdict["opposite"] else verdict["verdict"],
-        }  # fmt: skip
-        card["turned"] = (
-            verdict["verdict"] == PREDICTS and card["effect"]["value"] * card["r"]["value"] < 0
-        )
-        card["alone"] = _find_way(card["r"])
-        cards.append(card)
+            "turned": predicts and size * r["value"] < 0, "alone": _find_way(r),
+        })  # fmt: skip
     return cards
-
-
-def _take_ends(row: Row | None) -> dict[str, float]:
-    names = ("value", "low", "high")
-    return {name: row[name] for name in names} if row else dict.fromkeys(names, math.nan)
 
 
 def _find_way(r: Mapping[str, float]) -> str:
@@ -85,19 +75,27 @@ def _find_way(r: Mapping[str, float]) -> str:
 
 def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
     """Decide what the headline says: of every metric and scale, and of every protocol that has no card."""
+    by_metric = {
+        metric: [card for card in cards if card["metric"] == metric]
+        for metric in dict.fromkeys(card["metric"] for card in cards)
+    }
     alike: dict[tuple[Any, ...], list[str]] = {}
-    for metric in dict.fromkeys(card["metric"] for card in cards):
-        own = tuple((card["outcome"], card["turned"]) for card in cards if card["metric"] == metric)
-        alike.setdefault(own, []).append(metric)
+    for metric, own in by_metric.items():
+        alike.setdefault(tuple((card["outcome"], card["turned"]) for card in own), []).append(
+            metric
+        )
     clauses = [clause for group in alike.values() for clause in _group(cards, group)]
     if "primary" in found:
         clauses += _list_exceptions(cards, found["primary"].rows.get("exceptions", ()))
-    clauses += _list_lost(cards)
-    if "raters" in found:
-        clauses += _list_unflagged(cards, found["raters"].facts)
-    return clauses + [
-        {"kind": "other", "text": text} for one in found.values() for text in one.clauses
-    ]
+    for metric, every in by_metric.items():
+        if own := [card for card in every if card["beyond_level"] == LOST]:
+            clauses.append({"kind": "lost", "metric": metric, "what": name_scales(own, every)})
+    if "raters" in found and any(card["unflagged"] for card in cards):
+        clauses.append(_tell_unflagged(by_metric, found["raters"].facts))
+    told = [text for one in found.values() for text in one.clauses]
+    # More of them stand beneath the cards, where they would be said a second time.
+    shown = told if len(told) <= NAMED or not clauses else []
+    return clauses + [{"kind": "other", "text": text} for text in shown]
 
 
 def _group(cards: Sequence[Row], metrics: Sequence[str]) -> Iterator[Row]:
@@ -126,16 +124,13 @@ def name_scales(own: Sequence[Row], every: Sequence[Row]) -> str:
         scales, levels = ({card[name] for card in own} for name in ("scale", "level"))
         if len(scales) * len(levels) != len(own):
             return "all ratings"
-        where = f" at {_count_all(len(levels))} levels" if len(levels) > 1 else ""
+        many = {len(one): f"all {len(one)}" for one in (scales, levels)} | {2: "both"}
+        where = f" at {many[len(levels)]} levels" if len(levels) > 1 else ""
         if len(scales) > 1:
-            return f"the ratings on {_count_all(len(scales))} rating scales{where}"
+            return f"the ratings on {many[len(scales)]} rating scales{where}"
         return f"{format_name(own[0]['scale'])} ratings{where}"
     names = list_subjects([card["subject"] for card in own])
     return f"ratings of {names}" if "(" in names else f"{names} ratings"
-
-
-def _count_all(count: int) -> str:
-    return {2: "both"}.get(count, f"all {count}")
 
 
 def list_subjects(subjects: Sequence[str]) -> str:
@@ -156,74 +151,47 @@ def _find_best(same: Sequence[Row], metrics: Sequence[str]) -> str:
 
 def _list_exceptions(cards: Sequence[Row], rows: Sequence[Row]) -> Iterator[Row]:
     """Name the reducers that were rated otherwise than metrics suggest that predict there, and on which scales."""
-    subjects = {
-        (card["scale"], card["level"]): card["subject"]
-        for card in cards
-        if card["verdict"] == PREDICTS
-    }
-    flagged = {
-        _name_exception(row)
-        for row in rows
-        if row["quantity"] == "exceptional" and row["note"] == "yes"
-    }
+    predicted = [card for card in cards if card["verdict"] == PREDICTS]
+    subjects = {(card["scale"], card["level"]): card["subject"] for card in predicted}
     ways: dict[tuple[str, bool], dict[str, float]] = {}
-    for row in rows:
-        if (
-            row["quantity"] == "excess"
-            and _name_exception(row) in flagged
-            and _name_exception(row)[:2] in subjects
-        ):
-            found = ways.setdefault((row["reducer"], row["value"] > 0), {})
-            found[subjects[row["scale"], row["level"]]] = abs(row["value"])
+    for row in list_exceptional(rows):
+        if subject := subjects.get((row["scale"], row["level"])):
+            ways.setdefault((row["reducer"], row["value"] > 0), {})[subject] = abs(row["value"])
     if len(ways) > NAMED:
         where = list(dict.fromkeys(subject for points in ways.values() for subject in points))
         reducers = list(dict.fromkeys(name for name, _ in ways))
         yield {"kind": "exceptions", "reducers": reducers, "where": list_subjects(where)}
         return
     for (name, above), points in ways.items():
-        ends = [min(points.values()), max(points.values())]
         yield {
-            "kind": "exception",
-            "reducer": name,
-            "above": above,
-            "points": ends,
-            "where": list_subjects(list(points)),
-        }
+            "kind": "exception", "reducer": name, "above": above,
+            "points": [min(points.values()), max(points.values())], "where": list_subjects(list(points)),
+        }  # fmt: skip
 
 
-def _name_exception(row: Row) -> tuple[str, str, str]:
-    return row["scale"], row["level"], row["reducer"]
+def list_exceptional(rows: Sequence[Row]) -> list[Row]:
+    """List the excess of every reducer that is exceptional."""
+    keys = ("scale", "level", "reducer")
+    flagged = {tuple(row[key] for key in keys) for row in rows if row["note"] == "yes"}
+    return [
+        row
+        for row in rows
+        if row["quantity"] == "excess" and tuple(row[key] for key in keys) in flagged
+    ]
 
 
-def _list_lost(cards: Sequence[Row]) -> Iterator[Row]:
-    """Say which metrics would predict ratings if level were not in the model."""
-    for metric in dict.fromkeys(card["metric"] for card in cards):
-        every = [card for card in cards if card["metric"] == metric]
-        if own := [card for card in every if card["beyond_level"] == LOST]:
-            yield {"kind": "lost", "metric": metric, "what": name_scales(own, every)}
-
-
-def _list_unflagged(cards: Sequence[Row], facts: Mapping[str, Any]) -> Iterator[Row]:
+def _tell_unflagged(by_metric: Mapping[str, Sequence[Row]], facts: Mapping[str, Any]) -> Row:
     """Say which verdicts are others without the raters whom screening rules flag."""
     ways: dict[tuple[str, str], list[str]] = {}
-    for metric in dict.fromkeys(card["metric"] for card in cards):
-        every = [card for card in cards if card["metric"] == metric]
+    for metric, every in by_metric.items():
         for way in dict.fromkeys(card["unflagged"] for card in every if card["unflagged"]):
             own = [card for card in every if card["unflagged"] == way]
             turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
-            ways.setdefault((OPPOSITE if turned else way, name_scales(own, every)), []).append(
-                metric
-            )
-    if ways:
-        told = [
-            {"kind": way, "what": what, "metrics": names} for (way, what), names in ways.items()
-        ]
-        yield {
-            "kind": "unflagged",
-            "flagged": facts["flagged"],
-            "n_raters": facts["n_raters"],
-            "ways": told,
-        }
+            key = OPPOSITE if turned else way, name_scales(own, every)
+            ways.setdefault(key, []).append(metric)
+    told = [{"kind": way, "what": what, "metrics": names} for (way, what), names in ways.items()]
+    sizes = {name: facts[name] for name in ("flagged", "n_raters")}
+    return {"kind": "unflagged", **sizes, "ways": told}
 
 
 # Where correlations over all stimuli pooled, another question, disagree with the primary model.
@@ -231,13 +199,14 @@ def _list_unflagged(cards: Sequence[Row], facts: Mapping[str, Any]) -> Iterator[
 
 def reconcile(panels: Iterable[Row], verdicts: Iterable[Row]) -> None:
     """Mark in the facts of the correlations where they disagree with the verdicts on the same ratings."""
-    verdicts = list(verdicts)
+    known = {
+        tuple(one[key] for key in PLACE): one for one in verdicts if one["verdict"] != NOT_ESTIMABLE
+    }
     for panel in panels:
-        place = panel["scale"], panel["level"]
         own = {
-            one["metric"]: one
-            for one in verdicts
-            if (one["scale"], one["level"]) == place and one["verdict"] != NOT_ESTIMABLE
+            metric: one
+            for (scale, level, metric), one in known.items()
+            if (scale, level) == (panel["scale"], panel["level"])
         }
         panel["against"] = [
             one
@@ -256,6 +225,5 @@ def _disagrees(one: Row, verdict: Row) -> bool:
         return False
     if one["covers"]:
         return bool(verdict["verdict"] == PREDICTS)
-    return bool(
-        verdict["verdict"] == OPEN or (verdict["direction"] == "higher") != (one["r"]["value"] > 0)
-    )
+    higher = verdict["direction"] == "higher"
+    return bool(verdict["verdict"] == OPEN or higher != (one["r"]["value"] > 0))

@@ -27,9 +27,12 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.report.section import Picture
-    from feel321.types import MetricInfo, PathLike
+    from feel321.types import PathLike
 
 PAGE, DETAILS, RESULTS = "index.html", "details.html", "results.json"
+METHODS = "methods.md"
+"""The methods section, which the study writes beside a report."""
+
 OWN = re.compile(
     r"index\.html|details\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv"
 )
@@ -47,19 +50,12 @@ def list_files(
 
 def write_flags(frame: DataFrame) -> DataFrame:
     """Write flags as TRUE and FALSE, which R takes for what they are, and texts so that no spreadsheet runs them."""
-    words = {True: "TRUE", False: "FALSE"}
-    flags = [
-        name
-        for name in frame
-        if str(frame[name].dtype) in {"bool", "object"}
-        and frame[name].dropna().map(type).isin([bool, np.bool_]).all()
-    ]
-    texts = {
-        str(name): frame[name].map(defuse)
-        for name in frame
-        if name not in flags and str(frame[name].dtype) in {"object", "str"}
-    }
-    return frame.assign(**texts, **{str(name): frame[name].map(words) for name in flags})
+
+    def write(cell: Any) -> Any:  # noqa: ANN401 - any cell of a table
+        return str(cell).upper() if isinstance(cell, bool | np.bool_) else defuse(cell)
+
+    flagged = frame.select_dtypes(["bool", "object", "str"])
+    return frame.assign(**{str(name): flagged[name].map(write) for name in flagged})
 
 
 def check_target(target: Path) -> None:
@@ -108,30 +104,27 @@ class ResultsFolder:
             self.pictures.append(picture)
             save_figure(picture.figure, self._stage("figures") / picture.name)
 
-    def write(  # noqa: PLR0913 - everything that a folder holds, by name
+    def write(
         self,
         content: Mapping[str, Any],
         *,
         page: Callable[[Mapping[str, Markup]], str],
         tables: Mapping[str, DataFrame],
-        details: Callable[[], str] | None = None,
+        details: str = "",
         kind: str = "report",
-        dictionary: DataFrame | None = None,
-        info: Mapping[str, MetricInfo] | None = None,
     ) -> Path:
         """Write results, tables and pages, and put all in the place of the former files; return the folder.
 
-        content: what ``results.json`` holds; its "files" are those of `list_files`. page, details: render the pages,
-        the first from the figures' SVG by name. tables: by name without suffix; `dictionary.csv` beside them describes
-        their columns, by the kind of results where it is not given; info: what metrics declare of themselves.
+        content: what ``results.json`` holds; its "files" are those of `list_files`. page: renders the first page from
+        the figures' SVG by name; details: the second page. tables: by name without suffix; unless one of them is
+        `dictionary`, it is made for results of this kind.
         """
-        files = {f"{kind}/{name}.csv": frame for name, frame in tables.items()}
-        if tables:
-            described = make_dictionary(files, info) if dictionary is None else dictionary
-            files[f"{kind}/{DICTIONARY}"] = described
-        for file, frame in files.items():
+        frames = {f"{kind}/{name}.csv": frame for name, frame in tables.items()}
+        if tables and DICTIONARY.removesuffix(".csv") not in tables:
+            frames[DICTIONARY] = make_dictionary(frames)
+        for name, frame in frames.items():
             write_flags(frame).to_csv(
-                self._stage("tables") / file.rpartition("/")[2],
+                self._stage("tables") / name.rpartition("/")[2],
                 index=False,
                 float_format="%.10g",
                 lineterminator="\n",
@@ -142,11 +135,17 @@ class ResultsFolder:
             one.name: inline_svg(one.name, one.caption, stage / "figures" / f"{one.name}.svg")
             for one in self.pictures
         }
-        texts = {PAGE: page(drawings)} | ({DETAILS: details()} if details else {})
-        texts[RESULTS] = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-        for name, text in texts.items():
-            (stage / name).write_text(text, encoding="utf-8", newline="")
-        _replace(stage, self.path, files=content["files"])
+        listed = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+        for name, text in {PAGE: page(drawings), DETAILS: details, RESULTS: listed}.items():
+            if text:
+                (stage / name).write_text(text, encoding="utf-8", newline="")
+        wanted = tuple(content["files"])
+        for name in _refuse_foreign(self.path, wanted) - set(wanted):
+            (self.path / name).unlink(missing_ok=True)
+        for name in wanted:
+            make_folder((self.path / name).parent)
+        # The list goes first: a run that is interrupted here leaves files that the next one knows for its own.
+        move_files({stage / name: self.path / name for name in wanted})
         return self.path
 
     def _stage(self, part: str = "") -> Path:
@@ -157,10 +156,6 @@ class ResultsFolder:
         stage = self._place / part
         make_folder(stage)
         return stage
-
-
-METHODS = "methods.md"
-"""The methods section, which the study writes beside a report."""
 
 
 def list_own(target: Path) -> list[str]:
@@ -177,18 +172,6 @@ def remove_results(target: Path) -> None:
     for folder in (target / "figures", target / "tables", target):
         if folder.is_dir() and not any(folder.iterdir()):
             folder.rmdir()
-
-
-def _replace(place: Path, target: Path, *, files: Iterable[str]) -> None:
-    """Move finished results to their folder, over the former ones."""
-    wanted = tuple(files)
-    former = _refuse_foreign(target, wanted)
-    for name in former - set(wanted):
-        (target / name).unlink(missing_ok=True)
-    for name in wanted:
-        make_folder((target / name).parent)
-    # The list goes first: a run that is interrupted here leaves files that the next one knows for its own.
-    move_files({place / name: target / name for name in wanted})
 
 
 def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:

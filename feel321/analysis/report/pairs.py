@@ -1,106 +1,286 @@
-"""Sections about pairs of stimuli: ABX trials, one axis against three, and maps of dissimilarities."""
+"""Sections about pairs of stimuli: choices between two, ABX trials, one axis against three, maps of dissimilarities."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from statistics import median
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from feel321.analysis import maps
+from feel321.analysis import space as spaces
+from feel321.analysis.choices import CHANCE, fit_votes, gather_votes, predict
+from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original, discriminate_pairs
-from feel321.analysis.figures.kinds import draw_discrimination, draw_space
-from feel321.analysis.primary.model import adjust_holm
-from feel321.analysis.report.parts import SIGNIFICANCE
-from feel321.analysis.report.section import (
-    Found,
-    Picture,
-    Row,
-    Section,
-    count_rows,
-    make_row,
-    make_slug,
-)
-from feel321.analysis.space import (
-    align_spaces,
-    bootstrap_space,
-    regress_attributes,
-    stress_by_dimension,
-)
-from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.table.schema import ANSWERED, APART, LABELS, PAIRED
-from feel321.analysis.words import format_name
+from feel321.analysis.figures import kinds
+from feel321.analysis.primary.model import FEW, adjust_holm
+from feel321.analysis.report import section as parts
+from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
+from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, LABELS, PAIRED
+from feel321.analysis.words import ONE_WAY, format_count, format_level, format_name, join_words
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.records import Statistic
 
+# Choices between two stimuli: which metric predicts them, and what they say of the reducers.
+
+CLUSTERED = "95 % t interval, clustered by participants and recordings"
+CHOICE_TABLES = ("predicted", "differences", "weights", "abilities", "sizes")
+ASKED = {
+    "triplet": "which of two stimuli feels more like the reference",
+    "preference": "which of two stimuli is preferred",
+}
+"""Scale -> what people chose, within a sentence."""
+
+
+def compute_choices(table: Table, choices: Choices) -> Found:
+    """Evaluate triplets and preferences, per scale and level."""
+    rows: dict[str, list[Row]] = {f"choices_{name}": [] for name in CHOICE_TABLES}
+    told: list[Row] = []
+    notes: list[str] = []
+    pictures: list[Picture] = []
+    for part in split_arms(table.rows[table.rows["scale"].isin(CHOSEN)]):
+        own = replace(table, rows=part.rows.reset_index(drop=True))
+        found: list[str] = [*_count_catches(part, own, rows["choices_sizes"])]
+        rng = choices.make_rng("choices", *part.place)
+        scale = partial(_scale, draws=choices.draws, rng=rng)
+        for step in (partial(_predict, told=told, pictures=pictures), _weigh, scale):
+            try:
+                found += step(part, own, rows)
+            except ValueError as error:
+                found.append(f"{str(error).removesuffix('.')}.")
+        notes += [f"{part.lead}: {note}" for note in found]
+    clauses = [_claim(one) for one in told]
+    facts = {"parts": told} if any(rows.values()) else {}
+    return Found(rows, facts, pictures, notes, clauses=clauses)
+
+
+def _find_roles(table: Table) -> tuple[Any, Any]:
+    """Find the roles of both stimuli of each choice."""
+    roles: Any = {} if table.stimuli is None else table.stimuli[ROLE]
+    return table.rows[STIMULUS].map(roles).to_numpy(), table.rows[OTHER].map(roles).to_numpy()
+
+
+def _count_catches(part: Part, table: Table, rows: list[Row]) -> Iterator[str]:
+    """Count how often an anchor was chosen, which nobody should."""
+    one, other = _find_roles(table)
+    is_catch = (one == "anchor") != (other == "anchor")
+    if n := int(is_catch.sum()):
+        first = (table.rows["rating"] == HIGHEST).to_numpy()
+        wrong = int((np.where(first, one, other)[is_catch] == "anchor").sum())
+        rows += parts.count_rows({"anchors_chosen": wrong, "catch_trials": n}, n=n, **part.keys)
+        yield f"an anchor was chosen in {wrong} of {n} catch trials."
+
+
+def _predict(
+    part: Part, table: Table, rows: dict[str, list[Row]], *, told: list[Row], pictures: list[Picture]
+) -> Sequence[str]:  # fmt: skip
+    """Count how many choices each metric predicts."""
+    metrics = list(dict.fromkeys([*table.metrics, *table.rivals]))
+    found = predict(gather_votes(table, metrics=metrics))
+    keys: Row = {**part.keys, "n": found.n_votes, "interval": CLUSTERED}
+    shares = {"share": "share low high p_holm", "n_choices": "n"}
+    records = [row | {"n": found.n_votes} for row in found.to_frame().to_dict("records")]
+    rows["choices_predicted"] += list_rows(records, shares, ["metric"], **keys)
+    others: Row = {"low": found.others_low, "high": found.others_high}
+    ceiling = {"majority_of_others": (found.others, others), "majority_of_all": (found.majority, {})}  # fmt: skip
+    for name, (value, ends) in ceiling.items():
+        if np.isfinite(value):
+            rows["choices_predicted"].append(make_row("share", value, metric=name, **ends, **keys))
+    pair = {"metric": "first", "second_metric": "second"}
+    quantities = {"difference": "difference low high p_holm"}
+    rows["choices_differences"] += list_rows(found.differences, quantities, pair, **keys)
+    sizes = ("n_participants", "n_recordings", "n_pairs")
+    counts = [{name: getattr(found, name) for name in sizes}]
+    rows["choices_sizes"] += list_rows(counts, sizes, n=found.n_votes, **part.keys)
+    told.append(describe_prediction(part, table, found))
+    caption = (
+        f"{part.subject}: share of {found.n_votes} choices that each metric predicts, with 95 % intervals for other "
+        f"people and other recordings ({found.n_participants} participants, {found.n_recordings} recordings). Line: "
+        "chance. Band: the majority of the other participants, and of all."
+    )
+    slug = parts.make_slug("choices", *part.place)
+    pictures.append(Picture(slug, caption, partial(_draw_shares, found)))
+    return tuple(found.notes)
+
+
+def _draw_shares(found: Statistic) -> Figure:
+    table = found.to_frame().sort_values("share", ascending=False, kind="stable")
+    frame = 100 * table[["share", "low", "high"]]
+    frame["name"] = table["metric"].map(format_name)
+    known = [100 * share for share in (found.others, found.majority) if np.isfinite(share)]
+    band = (min(known), max(known)) if known else (np.nan, np.nan)
+    label, columns = "Choices predicted (%)", "share low high"
+    lines = {"-": 50.0}
+    return kinds.draw_estimates(frame, label, columns=columns, lines=lines, band=band)
+
+
+def describe_prediction(part: Part, table: Table, found: Statistic) -> Row:
+    """Decide which metrics may be said to predict the choices, and whether any predicts more than another."""
+    shares = found.shares
+    sizes = {"participant": found.n_participants, "recording": found.n_recordings}
+    listed = sorted(found.to_frame().to_dict("records"), key=lambda row: -row["share"])
+    clear = [row for row in listed if row["p_holm"] < parts.SIGNIFICANCE]
+    right = [row for row in clear if row["share"] > CHANCE]
+    told: Row = {
+        "scale": part.scale, "subject": part.subject, "level": part.level * part.several,
+        "compared": len(found.differences), "estimable": not shares["p"].isna().all(), "n_metrics": len(shares),
+        "units": [format_count(size, name) for name, size in sizes.items()],
+        "few": [format_count(size, name) for name, size in sizes.items() if size < FEW],
+        "others": found.others, "highest": listed[0], "right": right,
+        "wrong": [row for row in clear if row["share"] < CHANCE], "worse": [], "without": [],
+    }  # fmt: skip
+    if not right:
+        return told
+    best = right[0]["metric"]
+    for row in found.differences.to_dict("records"):
+        larger, smaller = row["first"], row["second"]
+        if row["difference"] < 0:
+            larger, smaller = smaller, larger
+        if row["p_holm"] < parts.SIGNIFICANCE and larger == best:
+            told["worse"].append(smaller)
+    return told | {"without": list(_find_turns(table, best, list(shares.index)))}
+
+
+def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[str]:
+    """Name the reducers without which the leading metric is no longer shown to predict."""
+    rows, stimuli = table.rows, table.stimuli
+    if stimuli is None:
+        return
+    both = [rows[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER)]
+    tested = sorted(stimuli.loc[stimuli[ROLE] == TEST, "reducer"].unique())
+    for name in (name for name in tested if any((ids == name).any() for ids in both)):
+        rest = rows[(both[0] != name) & (both[1] != name)]
+        try:
+            left = predict(gather_votes(replace(table, rows=rest), metrics=metrics)).shares
+        except ValueError:
+            continue
+        own = left.loc[metric]
+        if not (own["p_holm"] < parts.SIGNIFICANCE and own["share"] > CHANCE):
+            yield name
+
+
+def _claim(told: Row) -> str:
+    """Say for the headline which metrics predict these choices."""
+    asked, where = ASKED[told["scale"]], format_level(told["level"])
+    if not told["estimable"]:
+        return f"whether a metric predicts {asked} cannot be estimated with {join_words(told['units'])}"
+    if not told["right"]:
+        return f"no metric is shown to predict {asked}{where}"
+    names = [
+        f"{format_name(row['metric'])} ({100 * row['share']:.0f} % of the choices)"
+        for row in told["right"]
+    ]
+    hint = f" (with {join_words(told['few'])}, a hint rather than a result)" if told["few"] else ""
+    return f"{join_words(names)} predict{'s' * (len(names) == 1)} {asked}{where}{hint}"
+
+
+def _weigh(part: Part, table: Table, rows: dict[str, list[Row]]) -> Sequence[str]:
+    """Weigh the metrics in one model."""
+    votes = gather_votes(table, metrics=table.metrics)
+    found = fit_votes(votes)
+    keys: Row = {**part.keys, "n": found.n_votes, "interval": CLUSTERED}
+    weights = {"weight": "estimate low high p"}
+    rows["choices_weights"] += list_rows(found.to_frame(), weights, ["term"], **keys)
+    rows["choices_weights"].append(make_row("weight", found.lapse, term="lapses", **keys))
+    return [note for note in found.notes if note not in votes.notes]
+
+
+def _scale(
+    part: Part, table: Table, rows: dict[str, list[Row]], *, draws: int, rng: np.random.Generator
+) -> Sequence[str]:
+    """Scale the reducers by Bradley-Terry; catch trials, which are won nearly always, have no part in it."""
+    one, other = _find_roles(table)
+    votes, stimuli = table.rows[(one != "anchor") & (other != "anchor")], table.stimuli
+    if len(votes["reference_reducer"].unique()) > 1:
+        votes = votes[votes["matched"]]  # likeness to one reference is no likeness to another
+    if stimuli is None or votes.empty:
+        return ()
+    first, second = (votes[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER))
+    winner = first.where(votes["rating"] == HIGHEST, second)
+    pairs = votes[["participant"]].assign(first=first, second=second, winner=winner)
+    fitted = _fit_abilities(pairs, draws, rng)
+    records = []
+    for row in fitted.to_frame().to_dict("records"):
+        met = (first == row["item"]) | (second == row["item"])
+        if row["item"] != "order":
+            share = float((winner[met] == row["item"]).mean())
+            records.append(row | {"share": share, "n": int(met.sum())})
+    quantities = {"ability": "estimate low high", "share_chosen": "share", "n_choices": "n"}
+    keys = {"reducer": "item", "n": "n"}
+    own = {"interval": ONE_WAY, **part.keys}
+    rows["choices_abilities"] += list_rows(records, quantities, keys, **own)
+    return tuple(fitted.notes)
+
+
+def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> Statistic:
+    """Fit abilities with intervals over participants; shrunken ones without, where a reducer always won or lost."""
+    try:
+        alone = len(pairs["participant"].unique()) == 1
+        return bradley_terry(pairs, by_rater=not alone, order_effect=True, draws=draws, rng=rng)
+    except ValueError as error:
+        if "separation" not in str(error):
+            raise
+    shrunken = bradley_terry(pairs, prior=0.5, order_effect=True)
+    return shrunken.replace(fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
+
 
 # ABX trials: how well what a reducer made is distinguished from its reference.
 
-RIGHT, WRONG = 100.0, 0.0
 WILSON = "95 % interval that follows from Wilson's"
 
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
-    rows = table.rows[table.rows["scale"] == ANSWERED]
-    if strange := int((~rows["rating"].isin([RIGHT, WRONG])).sum()):
-        why = f"{strange} answers are neither 100 (right) nor 0 (wrong)"
-        return Found(notes=(f"Scale '{ANSWERED}' is not evaluated: {why}.",))
-    trials = rows.assign(first=rows["reducer"], second="reference", correct=rows["rating"] == RIGHT)
-    compared = trials[trials["role"] != "reference"].groupby(["level", "reducer"], observed=True)
-    found: dict[Any, Statistic] = {
-        names: discriminate_pairs(part)[None] for names, part in compared
+    from pandas import DataFrame
+
+    rows = table.rows[(table.rows["scale"] == ANSWERED) & (table.rows["role"] != "reference")]
+    right = rows["rating"] == HIGHEST
+    trials = rows.assign(first=rows["reducer"], second="reference", correct=right)
+    found: dict[Any, Any] = {
+        names: discriminate_pairs(part)[None]
+        for names, part in trials.groupby(["level", "reducer"], observed=True)
     }
     if not found:
         return Found()
+    notes, records = [], []
     adjusted = adjust_holm([one.p for one in found.values()])
-    listed: list[Row] = []
     for ((level, reducer), one), p in zip(found.items(), adjusted, strict=True):
-        keys: Row = {"level": level, "reducer": reducer, "n": one.n_trials, "interval": WILSON}
-        listed.append(
-            make_row(
-                "share_correct", one.share, low=one.wilson_low, high=one.wilson_high, p=p, **keys
-            )
-        )
-        ends = {"low": one.d_independent_low, "high": one.d_independent_high}
-        listed.append(make_row("d_prime", one.d_independent, **ends, **keys))
-        listed += count_rows({"n_correct": one.n_correct, "n_trials": one.n_trials}, **keys)
-    apart = sum(p < SIGNIFICANCE for p in adjusted)
-    listed += count_rows({"n_distinguished": apart, "n_compared": len(found)}, n=len(found))
-    named = {
-        f"{reducer} ({format_name(str(level))})": one for (level, reducer), one in found.items()
-    }
+        records.append(dict(one) | {"level": level, "reducer": reducer, "p_holm": p})
+        notes += [f"ABX, {reducer}, {level}: {note}" for note in one.notes]
+    quantities = {
+        "share_correct": "share wilson_low wilson_high p_holm",
+        "d_prime": "d_independent d_independent_low d_independent_high",
+        "n_correct": "n_correct", "n_trials": "n_trials",
+    }  # fmt: skip
+    keys = {"level": "level", "reducer": "reducer", "n": "n_trials"}
+    listed = list_rows(records, quantities, keys, interval=WILSON)
+    apart, n = sum(p < parts.SIGNIFICANCE for p in adjusted), len(found)
+    listed += parts.count_rows({"n_distinguished": apart, "n_compared": n}, n=n)
     caption = (
         "d' in ABX trials of each reducer against its reference, with 95 % intervals that follow from Wilson's; 0 is "
         "guessing. In brackets: correct answers of trials."
     )
-    notes = [
-        f"ABX, {reducer}, {level}: {note}"
-        for (level, reducer), one in found.items()
-        for note in one.notes
-    ]
-    return Found(
-        {"discrimination": listed}, {"apart": apart, "n": len(found)},
-        (Picture("discrimination", caption, partial(draw_discrimination, named)),), notes,
-        clauses=(f"{apart} of {len(found)} reducers and anchors were distinguished from their reference",),
-    )  # fmt: skip
+    frame = DataFrame(records).rename(columns={"d_independent": "d"})
+    tried = frame["n_correct"].astype(str) + "/" + frame["n_trials"].astype(str)
+    frame["name"] = frame["reducer"] + " (" + frame["level"].map(format_name) + ") (" + tried + ")"
+    columns = "d d_independent_low d_independent_high"
+    draw = partial(kinds.draw_estimates, frame, "d′", columns=columns)
+    picture = Picture("discrimination", caption, draw)
+    clause = f"{apart} of {n} reducers and anchors were distinguished from their reference"
+    facts = {"apart": apart, "n": n}
+    return Found({"discrimination": listed}, facts, [picture], notes, clauses=[clause])
 
-
-DISCRIMINATION = Section(
-    "discrimination", "Telling stimuli apart (ABX)", "apart", compute_discrimination
-)
 
 # One axis against three: dissimilarities from the original beside those of identical pairs.
-
-STUDENT_T = "95 % t interval over participants"
 
 
 def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
@@ -109,58 +289,39 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
     notes: list[str] = []
     listed: list[Row] = []
     told: list[Row] = []
+    clauses: list[str] = []
     several = len(rows["level"].unique()) > 1
+    quantities = {
+        "difference": "difference low high p_holm", "area": "area area_low area_high",
+        "d_prime": "d_prime d_prime_low d_prime_high",
+    }  # fmt: skip
+    names = ("t", "df", "n_participants", "n_judgements", "n_identical")
+    quantities |= dict(zip(names, names, strict=True))
     for level, part in rows.groupby("level", observed=True):
         try:
-            own = compare_with_original(part).to_dict("records")
+            own = compare_with_original(part)
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: one axis is not compared with three. {error}")
             continue
-        for row in own:
-            keys: Row = {
-                "level": level,
-                "reducer": row["reducer"],
-                "n": row["n_judgements"],
-                "interval": STUDENT_T,
-            }
-            for quantity, lead in (("difference", ""), ("area", "area_"), ("d_prime", "d_prime_")):
-                ends = {end: row[f"{lead}{end}"] for end in ("low", "high")}
-                p = row["p_holm"] if quantity == "difference" else np.nan
-                listed.append(make_row(quantity, row[quantity], **ends, p=p, **keys))
-            names = ("t", "df", "n_participants", "n_judgements", "n_identical")
-            listed += count_rows({name: row[name] for name in names}, **keys)
-        single = [row for row in own if row["reducer"] != EVERY]
-        apart = [
-            str(row["reducer"])
-            for row in single
-            if row["p_holm"] < SIGNIFICANCE and row["difference"] > 0
-        ]
-        rest = [str(row["reducer"]) for row in single if row["reducer"] not in apart]
-        told.append({"level": str(level) * several, "apart": apart, "n": len(single), "rest": rest})
-    where = [f" (level {format_name(one['level'])})" if one["level"] else "" for one in told]
-    clauses = [
-        f"one axis was distinguished from three{place} for {len(one['apart'])} of {one['n']} reducers"
-        for place, one in zip(where, told, strict=True)
-    ]
+        keys = {"reducer": "reducer", "n": "n_judgements"}
+        interval = "95 % t interval over participants"
+        listed += list_rows(own, quantities, keys, level=level, interval=interval)
+        single = own[own["reducer"] != EVERY]
+        clear = (single["p_holm"] < parts.SIGNIFICANCE) & (single["difference"] > 0)
+        apart, rest = (list(single.loc[which, "reducer"]) for which in (clear, ~clear))
+        where, n = str(level) * several, len(single)
+        told.append({"level": where, "apart": apart, "n": n, "rest": rest})
+        clauses.append(
+            f"one axis was distinguished from three{format_level(where)} for {len(apart)} of {n} reducers"
+        )
     facts = {"parts": told} if told else {}
     return Found({"told_apart": listed}, facts, notes=notes, clauses=clauses)
 
 
-TOLD_APART = Section("told_apart", "One axis against three", "apart", compute_told_apart)
-
 # Dissimilarities: the perceptual map, and what its axes are associated with.
 
-DRAWS = 200
-"""Maps drawn anew; each takes a fit."""
-
-
-class _Arm(NamedTuple):
-    """Dissimilarities of one level arm, and metrics and mean ratings of its reducers."""
-
-    level: str
-    names: tuple[str, ...]
-    matrices: NDArray[np.float64]
-    attributes: DataFrame
+DRAWS, MAP_DRAWS = 200, 100
+"""Maps drawn anew, of all recordings and of each group of them; each takes a fit."""
 
 
 def compute_space(table: Table, choices: Choices) -> Found:
@@ -169,17 +330,16 @@ def compute_space(table: Table, choices: Choices) -> Found:
     notes: list[str] = []
     pictures: list[Picture] = []
     told: list[Row] = []
-    rows: dict[str, list[Row]] = {
-        f"space{part}": [] for part in ("", "_stress", "_metrics", "_properties")
-    }
+    tables = ("space", "space_stress", "space_metrics")
+    rows: dict[str, list[Row]] = {name: [] for name in tables}
     for level in sorted(dissimilar["level"].unique()):
+        rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
         try:
-            arm = _gather(table, dissimilar[dissimilar["level"] == level], level)
-            rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
-            ellipses = bootstrap_space(arm.matrices, draws=draws, rng=rng)
-            stress = stress_by_dimension(
-                arm.matrices, rng=choices.make_rng("space", level, "stress")
-            )
+            own = dissimilar[dissimilar["level"] == level]
+            names, matrices = spaces.gather_dissimilarities(own)
+            ellipses = spaces.bootstrap_space(matrices, draws=draws, rng=rng)
+            rng = choices.make_rng("space", level, "stress")
+            stress = spaces.stress_by_dimension(matrices, rng=rng)
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: no map. {error}")
             continue
@@ -187,18 +347,19 @@ def compute_space(table: Table, choices: Choices) -> Found:
             f"Map of the dissimilarities at level {format_name(level)}, with 95 % bootstrap ellipses over "
             "participants; only distances have a meaning."
         )
-        pictures.append(
-            Picture(make_slug("space", level), caption, partial(draw_space, ellipses, arm.names))
-        )
-        n = len(arm.names)
-        for reducer, place in zip(arm.names, list_places(ellipses), strict=True):
-            rows["space"] += count_rows(place, level=level, reducer=reducer, n=n)
-        rows["space_stress"] += [
-            make_row("stress", value, level=level, dimensions=number, n=n)
-            for number, value in enumerate(stress, start=1)
-        ]
+        draw = partial(kinds.draw_space, ellipses, names)
+        pictures.append(Picture(parts.make_slug("space", level), caption, draw))
+        keys: Row = {"level": level, "n": len(names)}
+        rows["space"] += _list_places(names, ellipses.space, ellipses=ellipses, keys=keys)
+        for number, value in enumerate(stress, start=1):
+            rows["space_stress"].append(make_row("stress", value, dimensions=number, **keys))
         try:
-            told.append(_relate(arm, ellipses, choices, rows=rows))
+            rated = table.rows[table.rows["level"] == level].drop_duplicates("stimulus_id")
+            means = rated.groupby("reducer", observed=True)[list(table.metrics)].mean()
+            attributes = means.reindex(list(names))
+            rng = choices.make_rng("space", level, "procrustes")
+            found = _relate(ellipses, attributes, rows, keys=keys, draws=choices.draws, rng=rng)
+            told.append({"level": level, **found})
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: the map is compared with nothing else. {error}")
     clauses = [
@@ -206,85 +367,50 @@ def compute_space(table: Table, choices: Choices) -> Found:
         f"(level {format_name(one['level'])})"
         for one in told
     ]
-    return Found(
-        rows, {"parts": told} if any(rows.values()) else {}, pictures, notes, clauses=clauses
-    )
+    facts = {"parts": told} if any(rows.values()) else {}
+    return Found(rows, facts, pictures, notes, clauses=clauses)
 
 
-def list_places(ellipses: Statistic) -> Iterator[dict[str, float]]:
-    """List the places on a map with their ellipses."""
-    for (x, y), (one, two), angle in zip(
-        ellipses.space.positions, ellipses.half_axes, ellipses.angle, strict=True
-    ):
-        yield {"x": x, "y": y, "half_axis_1": one, "half_axis_2": two, "angle": angle}
+def _list_places(
+    names: Sequence[str], space: Statistic, *, ellipses: Statistic | None, keys: Row
+) -> list[Row]:
+    """List the places on a map, with their ellipses where these were drawn."""
+    records = [
+        {"reducer": name, "x": x, "y": y}
+        for name, (x, y) in zip(names, space.positions, strict=True)
+    ]
+    quantities = ["x", "y"]
+    if ellipses:
+        quantities += ["half_axis_1", "half_axis_2", "angle"]
+        shapes = zip(records, ellipses.half_axes, ellipses.angle, strict=True)
+        for record, (one, two), angle in shapes:
+            record |= {"half_axis_1": one, "half_axis_2": two, "angle": angle}
+    return list_rows(records, quantities, ["reducer"], **keys)
 
 
-def _gather(table: Table, rows: DataFrame, level: str) -> _Arm:
-    """Average each participant's ratings of every pair of reducers over recordings and both orders."""
-    known = rows[rows["reference_reducer"] != ""].rename(columns={"reference_reducer": "other"})
-    apart = known[known["reducer"] != known["other"]]
-    if apart.empty:
-        raise ValueError(
-            "No judgement names two stimuli of different reducers, in stimulus_id and reference_id."
-        )
-    names = order_reducers([*apart["reducer"], *apart["other"]])
-    place = {name: number for number, name in enumerate(names)}
-    people = {name: number for number, name in enumerate(sorted(apart["participant"].unique()))}
-    sums, counts = (np.zeros((len(people), len(names), len(names))) for _ in range(2))
-    for one, two in (("reducer", "other"), ("other", "reducer")):
-        axes = (("participant", people), (one, place), (two, place))
-        index = tuple(apart[key].map(of).to_numpy() for key, of in axes)
-        np.add.at(sums, index, apart["rating"].to_numpy())
-        np.add.at(counts, index, 1)
-    matrices = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
-    matrices[:, np.arange(len(names)), np.arange(len(names))] = 0
-    return _Arm(level, tuple(names), matrices, _measure(table, names, level))
-
-
-def _measure(table: Table, names: list[str], level: str) -> DataFrame:
-    """Average metrics and ratings per reducer; NaN where there are none."""
-    import pandas as pd
-
-    rows = table.rows[table.rows["level"] == level]
-    stimuli = rows.drop_duplicates("stimulus_id").groupby("reducer", observed=True)
-    single, ratings = rows[~rows["scale"].isin(APART)], pd.DataFrame()
-    if len(single):
-        ratings = single.pivot_table("rating", "reducer", "scale", observed=True)
-    metrics = stimuli[list(table.metrics)].mean()
-    return metrics.join(ratings.add_prefix("rated ")).reindex(names)
-
-
-def _relate(arm: _Arm, ellipses: Statistic, choices: Choices, *, rows: dict[str, list[Row]]) -> Row:
-    """Compare the map with metrics and mean ratings."""
-    known = arm.attributes.notna().all(axis=1).to_numpy()
-    attributes = arm.attributes[known]
-    attributes = attributes.loc[:, attributes.std() > 0]
-    metrics = attributes[[name for name in attributes if not str(name).startswith("rated ")]]
-    positions, keys = ellipses.space.positions[known], {"level": arm.level, "n": len(arm.names)}
+def _relate(
+    ellipses: Statistic, attributes: DataFrame, rows: dict[str, list[Row]], *, keys: Row, draws: int,
+    rng: np.random.Generator,
+) -> Row:  # fmt: skip
+    """Compare the map with the metrics of its stimuli."""
+    known = attributes.notna().all(axis=1).to_numpy()
+    metrics = attributes[known]
+    metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
-    rng = choices.make_rng("space", arm.level, "procrustes")
-    aligned = align_spaces(positions, scaled, permutations=choices.draws, rng=rng)
-    found = regress_attributes(positions, {str(name): attributes[name] for name in attributes})
+    positions = ellipses.space.positions[known]
+    aligned = spaces.align_spaces(positions, scaled, permutations=draws, rng=rng)
     note = f"{aligned.permutations} pairings"
-    rows["space_metrics"].append(
-        make_row("procrustes", aligned.correlation, p=aligned.p, note=note, **keys)
-    )
-    for (name, row), p in zip(found.iterrows(), adjust_holm(found["p"].tolist()), strict=True):
-        rows["space_properties"].append(make_row("r2", row["r2"], p=p, property=str(name), **keys))
-    return {
-        "level": arm.level,
-        "r": aligned.correlation,
-        "p": aligned.p,
-        "shown": aligned.p < SIGNIFICANCE,
-    }
+    row = make_row("procrustes", aligned.correlation, p=aligned.p, note=note, **keys)
+    rows["space_metrics"].append(row)
+    return {"r": aligned.correlation, "p": aligned.p, "shown": aligned.p < parts.SIGNIFICANCE}
 
-
-SPACE = Section("space", "The space of what was felt", "apart", compute_space)
 
 # Maps of groups of recordings: interactions and surfaces.
 
-MAP_DRAWS = 100
-"""Maps drawn anew for each group; each takes a fit."""
+
+ATTRIBUTE = {
+    "r2": "r2 - - p_holm", "axis_1": "axis_1", "axis_2": "axis_2", "p_unadjusted": "p", "p_least": "p_least",
+}  # fmt: skip
 
 
 def compute_maps(table: Table, choices: Choices) -> Found:
@@ -293,126 +419,86 @@ def compute_maps(table: Table, choices: Choices) -> Found:
     notes: list[str] = []
     told: list[Row] = []
     pictures: list[Picture] = []
-    parts = ("_groups", "_agreement", "_attributes", "_axes", "_people", "")
-    found: dict[str, list[Row]] = {f"maps{part}": [] for part in parts}
+    tables = ("maps_groups", "maps_agreement", "maps_attributes", "maps")
+    found: dict[str, list[Row]] = {name: [] for name in tables}
     for level in sorted(map(str, rows["level"].unique())):
-        own = rows[rows["level"] == level]
+        own, lead = rows[rows["level"] == level], f"{PAIRED}, {level}"
         rng = choices.make_rng("maps", level)
         try:
             groups = maps.map_groups(own, draws=min(MAP_DRAWS, max(choices.draws, 3)), rng=rng)
         except ValueError as error:
-            notes.append(f"{PAIRED}, {level}: no maps of groups. {error}")
+            notes.append(f"{lead}: no maps of groups. {error}")
             continue
-        agreement = list(maps.compare_groups(groups, permuted=choices.draws, rng=rng))
-        attributes: list[Row] = []
+        agreement = maps.compare_groups(groups, permuted=choices.draws, rng=rng)
         if not any(name in own and len(own[name].unique()) > 1 for name in LABELS):
             notes.append(
-                f"{PAIRED}, {level}: maps are of all recordings together; name `interaction` and `sample` in "
-                "[[recordings]], or in columns of the manifest, for maps of each."
+                f"{lead}: maps are of all recordings together; name `interaction` and `sample` in [[recordings]], or "
+                "in columns of the manifest, for maps of each."
             )
         for group in groups:
-            _list_group(group, level, found)
-            pictures += _draw(group, level)
-        found["maps_agreement"] += [_list_agreement(row, level) for row in agreement]
+            keys: Row = {"level": level, "kind": group.kind, "group": group.name}
+            keys["n"] = len(group.matrices)
+            sizes = {"stress": group.space.stress, "n_participants": len(group.matrices)}
+            sizes |= {"n_recordings": group.n_recordings}
+            found["maps_groups"] += parts.count_rows(sizes, **keys)
+            found["maps"] += _list_places(
+                group.names, group.space, ellipses=group.ellipses, keys=keys
+            )
+            pictures += _draw_group(group, level)
+        pair = {"kind": "kind", "group": "first", "second_group": "second", "n": "n"}
+        note = f"{choices.draws} pairings"
+        quantities = {"procrustes": "correlation - - p"}
+        found["maps_agreement"] += list_rows(agreement, quantities, pair, level=level, note=note)
+        attributes: list[Row] = []
         try:
             points = maps.gather_points(own, table.stimuli, groups[0], rng=rng)
-            attributes = list(maps.regress_points(points, draws=min(choices.draws, 1000), rng=rng))
+            attributes = maps.regress_points(points, draws=min(choices.draws, 1000), rng=rng)
             _adjust(attributes, table.metrics)
-            axes = list(maps.regress_axes(points, [*table.metrics, maps.DIRECTIONS]))
-            _list_attributes(attributes, axes, level=level, found=found)
-            notes += [f"{PAIRED}, {level}: {note}" for note in _note_points(points, attributes)]
+            notes += [f"{lead}: {note}" for note in _note_points(points, attributes)]
         except ValueError as error:
-            notes.append(f"{PAIRED}, {level}: axes are not compared with attributes. {error}")
-        told.append({"level": level, "agreement": list(_find_least(agreement)), "attributes": attributes,
-                     "clear": [row for row in attributes if row["p_holm"] < SIGNIFICANCE]})  # fmt: skip
+            notes.append(f"{lead}: axes are not compared with attributes. {error}")
+        found["maps_attributes"] += list_rows(attributes, ATTRIBUTE, ["property", "n"], level=level)
+        told.append({
+            "level": level, "agreement": list(_find_least(agreement)), "attributes": attributes,
+            "clear": [row for row in attributes if row["p_holm"] < parts.SIGNIFICANCE],
+        })  # fmt: skip
     return Found(found, {"parts": told} if told else {}, pictures, notes)
-
-
-def _list_agreement(row: Row, level: str) -> Row:
-    keys: Row = {key: row[key] for key in ("kind", "p", "n")}
-    keys |= {"level": level, "group": row["first"], "second_group": row["second"]}
-    return make_row(
-        "procrustes", row["correlation"], note=f"{row['permutations']} pairings", **keys
-    )
-
-
-def _list_group(group: maps.GroupMap, level: str, found: dict[str, list[Row]]) -> None:
-    keys: Row = {"level": level, "kind": group.kind, "group": group.name, "n": len(group.matrices)}
-    people = {row["participant"]: row["correlation"] for row in maps.map_people(group)}
-    values = list(people.values())
-    found["maps_groups"] += count_rows(
-        {
-            "stress": group.space.stress, "agreement_median": median(values) if values else np.nan,
-            "agreement_least": min(values, default=np.nan), "n_participants": len(group.matrices),
-            "n_recordings": group.n_recordings,
-        }, **keys,
-    )  # fmt: skip
-    found["maps_people"] += [
-        make_row("procrustes", r, participant=who, **keys) for who, r in people.items()
-    ]
-    places = [{"x": x, "y": y} for x, y in group.space.positions]
-    if group.ellipses:
-        ellipses = zip(group.ellipses.half_axes, group.ellipses.angle, strict=True)
-        more = [
-            {"half_axis_1": one, "half_axis_2": two, "angle": angle}
-            for (one, two), angle in ellipses
-        ]
-        places = [place | own for place, own in zip(places, more, strict=True)]
-    for reducer, place in zip(group.names, places, strict=True):
-        found["maps"] += count_rows(place, reducer=reducer, **keys)
-
-
-def _list_attributes(
-    attributes: Sequence[Row], axes: Sequence[Row], *, level: str, found: dict[str, list[Row]]
-) -> None:
-    for row in attributes:
-        keys: Row = {"level": level, "property": row["property"], "n": row["n"]}
-        note = f"{row['permutations']} orders"
-        found["maps_attributes"].append(
-            make_row("r2", row["r2"], p=row["p_holm"], note=note, **keys)
-        )
-        names = {"axis_1": "axis_1", "axis_2": "axis_2", "p_unadjusted": "p", "p_least": "p_least"}
-        found["maps_attributes"] += count_rows(
-            {name: row[key] for name, key in names.items()}, **keys
-        )
-    for row in axes:
-        keys = {"level": level, "axis": row["axis"], "property": row["property"], "n": row["n"]}
-        found["maps_axes"] += count_rows({name: row[name] for name in ("weight", "r2")}, **keys)
 
 
 def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
     """Adjust p by Holm over the metrics that were planned, and over the others; of those that could be small at all."""
+    for row in rows:
+        row["p_holm"] = np.nan
+    tested = [row for row in rows if row["p_least"] < parts.SIGNIFICANCE]
     for is_planned in (True, False):
-        own = [row for row in rows if (row["property"] in planned) == is_planned]
-        tested = [row for row in own if row["p_least"] < SIGNIFICANCE]
-        for row in own:
-            row["p_holm"] = float("nan")
-        for row, p in zip(tested, adjust_holm([row["p"] for row in tested]), strict=True):
+        own = [row for row in tested if (row["property"] in planned) == is_planned]
+        for row, p in zip(own, adjust_holm([row["p"] for row in own]), strict=True):
             row["p_holm"] = p
 
 
-def _draw(group: maps.GroupMap, level: str) -> Iterator[Picture]:
+def _draw_group(group: maps.GroupMap, level: str) -> Iterator[Picture]:
     if group.ellipses:
         caption = (
             f"Map of the dissimilarities of {group.kind} {group.name} at level {format_name(level)}, turned onto the "
             "map of all recordings, with 95 % bootstrap ellipses over participants."
         )
-        slug = make_slug("maps", level, group.kind, group.name)
-        yield Picture(slug, caption, partial(draw_space, group.ellipses, group.names), detail=True)
+        slug = parts.make_slug("maps", level, group.kind, group.name)
+        draw = partial(kinds.draw_space, group.ellipses, group.names)
+        yield Picture(slug, caption, draw, detail=True)
 
 
-def _find_least(rows: Sequence[Row]) -> Iterator[Row]:
+def _find_least(rows: Sequence[Mapping[str, Any]]) -> Iterator[Row]:
     """Find which maps of interactions, and which of samples, agree least."""
     for kind in LABELS:
         own = [row for row in rows if row["kind"] == kind and row["second"] != maps.ALL]
         if own:
-            yield min(own, key=lambda row: row["correlation"]) | {"n_pairs": len(own)}
+            yield {**min(own, key=lambda row: row["correlation"]), "n_pairs": len(own)}
 
 
 def _note_points(points: maps.Points, rows: Sequence[Row]) -> Iterator[str]:
     """Say on how little a regression of axes on attributes rests."""
     n = len(points.stimuli)
-    if mute := [row["property"] for row in rows if row["p_least"] >= SIGNIFICANCE]:
+    if mute := [row["property"] for row in rows if row["p_least"] >= parts.SIGNIFICANCE]:
         yield f"permutations of {n} stimuli cannot show an association of the axes with {', '.join(mute)}."
     if points.size < maps.ENOUGH * len(rows):
         yield (
@@ -421,6 +507,11 @@ def _note_points(points: maps.Points, rows: Sequence[Row]) -> Iterator[str]:
         )
 
 
-MAPS = Section(
-    "maps", "The space of what was felt, by interaction and surface", "apart", compute_maps
+WHOLE = "The space of what was felt"
+SECTIONS = (
+    Section("choices", "Choices between two stimuli", "differ", compute_choices),
+    Section("discrimination", "Telling stimuli apart (ABX)", "apart", compute_discrimination),
+    Section("told_apart", "One axis against three", "apart", compute_told_apart),
+    Section("space", WHOLE, "apart", compute_space),
+    Section("maps", f"{WHOLE}, by interaction and surface", "apart", compute_maps),
 )

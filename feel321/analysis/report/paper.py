@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 from feel321.analysis.replication import claims as paper_claims
 from feel321.analysis.replication.claims import AGREES, DIFFERS, NOT_ESTIMABLE, PaperAnswer
 from feel321.analysis.replication.measures import tabulate_metric
-from feel321.analysis.report.section import Found, Row, Section, make_row
+from feel321.analysis.report.answer import list_exceptional
+from feel321.analysis.report.section import Found, Row, Section, list_rows, make_row
 from feel321.analysis.words import capitalise, format_interval, format_number
 
 if TYPE_CHECKING:
@@ -20,93 +21,69 @@ if TYPE_CHECKING:
     from feel321.analysis.table.items import Table
 
 KEY, TITLE = "paper", "The paper's questions"
-TRANSFORMS = {"recording": "Recording", "reducer": "Transform", "metric": "Metric"}
+WAYS = {"positive": "higher", "negative": "lower"}
 
 
-def compute(table: Table, choices: Choices, paper: Paper, *, others: dict[str, Found]) -> Found:
-    """Answer the questions of a paper; others: what the sections that follow found."""
-    answers = list(paper_claims.answer_claims(table, paper, choices))
-    odd = others["primary"].rows.get("exceptions", []) if "primary" in others else []
-    facts: dict[str, Any] = {
-        "citation": paper.citation, "seen": paper.seen, "answers": [_describe(one) for one in answers],
-        "surprises": list(_list_surprises(paper, odd)) or list(_list_excesses(answers)),
-        "ours": sum(one.claim.source == "ours" for one in answers),
-        "counts": {
-            verdict: [one.claim.name for one in answers if one.verdict == verdict]
-            for verdict in (DIFFERS, AGREES, paper_claims.OPEN, NOT_ESTIMABLE)
-        },
-    }  # fmt: skip
-    rows = {"paper_claims": [row for one in answers for row in _list_answer(one)]}
-    rows["paper_metrics"] = list(_list_metrics(tabulate_metrics(table, paper)))
-    return Found(rows, facts)
+def make_section(paper: Paper, others: dict[str, Found]) -> Section:
+    """Make the section of a paper; others: what the sections that follow found."""
 
+    def compute(table: Table, choices: Choices) -> Found:
+        answers = list(paper_claims.answer_claims(table, paper, choices))
+        odd = others["primary"].rows.get("exceptions", []) if "primary" in others else []
+        told = [
+            {"name": one.claim.name, "claim": one.claim.claim, "source": one.claim.source, "verdict": one.verdict,
+             "sentence": capitalise(one.sentence)}
+            for one in answers
+        ]  # fmt: skip
+        facts: dict[str, Any] = {
+            "citation": paper.citation, "seen": paper.seen, "answers": told,
+            "surprises": list(_list_surprises(paper, odd)) or list(_list_excesses(answers)),
+            "ours": sum(one.claim.source == "ours" for one in answers),
+            "counts": {
+                verdict: [one.claim.name for one in answers if one.verdict == verdict]
+                for verdict in (DIFFERS, AGREES, paper_claims.OPEN, NOT_ESTIMABLE)
+            },
+        }  # fmt: skip
+        rows = {"paper_claims": [row for one in answers for row in _list_answer(one)]}
+        rows["paper_metrics"] = list(_list_metrics(tabulate_metrics(table, paper)))
+        return Found(rows, facts)
 
-def _describe(one: PaperAnswer) -> Row:
-    claim = one.claim
-    return {
-        "name": claim.name, "claim": claim.claim, "source": claim.source, "verdict": one.verdict,
-        "sentence": capitalise(one.sentence),
-    }  # fmt: skip
+    return Section(KEY, TITLE, KEY, compute)
 
 
 def _list_answer(one: PaperAnswer) -> Iterator[Row]:
     claim, found = one.claim, one.found
-    keys: Row = {
-        "claim": claim.name,
-        "measure": claim.measure,
-        "source": claim.source,
-        "n": found.n if found else 0,
-    }
+    keys: Row = {"claim": claim.name, "measure": claim.measure, "source": claim.source}
+    keys |= {"n": found.n if found else 0}
     kind = found.kind if found else "correlation"
-    yield make_row("verdict", note=one.verdict.replace("_", " "), **keys)
+    yield make_row("verdict", one.verdict.replace("_", " "), **keys)
     value, low, high = claim.paper
-    told = (
-        format_number(value, kind=kind)
-        if math.isfinite(value)
-        else format_interval(low, high, kind=kind)
-    )
-    yield make_row(
-        "paper", value, low=low, high=high, interval="the paper's range", **keys | {"note": told}
-    )
+    told = format_interval(low, high, kind=kind)
+    if math.isfinite(value):
+        told = format_number(value, kind=kind)
+    ends = {"low": low, "high": high, "interval": "the paper's range"}
+    yield make_row("paper", value, note=told, **ends, **keys)
     for name, own in (("here", found), ("without", one.without)):
         if own is not None:
             ends = {"low": own.low, "high": own.high, "interval": own.interval}
-            yield make_row(name, own.value, **ends, **keys | {"note": own.describe()})
+            yield make_row(name, own.value, note=own.describe(), **ends, **keys)
 
 
 def _list_surprises(paper: Paper, odd: Sequence[Row]) -> Iterator[Row]:
     """List reducers that were rated otherwise than the metrics predict, and whether the paper names them too."""
-    flagged = {(row["scale"], row["level"], row["reducer"]) for row in odd if row["note"] == "yes"}
-    rows = [
-        row
-        for row in odd
-        if row["quantity"] == "excess" and (row["scale"], row["level"], row["reducer"]) in flagged
-    ]
-    named = _name_exceptions(paper)
-    for reducer in dict.fromkeys(row["reducer"] for row in rows):
-        own = sorted(
-            (row for row in rows if row["reducer"] == reducer), key=lambda row: abs(row["value"])
-        )
+    named: dict[str, set[str]] = {name: set() for one in paper.claims for name in one.exceptions}
+    for claim in paper.claims:
+        if claim.measure == "rating_excess" and claim.expect in WAYS:
+            named.setdefault(str(claim.options.get("reducer")), set()).add(WAYS[claim.expect])
+    rows = sorted(list_exceptional(odd), key=lambda row: abs(row["value"]))
+    for reducer in dict.fromkeys(row["reducer"] for row in list_exceptional(odd)):
+        own = [row for row in rows if row["reducer"] == reducer]
         ways = sorted({"higher" if row["value"] > 0 else "lower" for row in own})
         yield {
             "reducer": reducer, "ways": ways, "points": [abs(own[0]["value"]), abs(own[-1]["value"])], "metrics": [],
             "where": [f"{row['scale']}, {row['level']}" for row in own], "named": reducer in named,
             "otherwise": [] if named.get(reducer, set()) >= set(ways) else sorted(named.get(reducer, ())),
         }  # fmt: skip
-
-
-WAYS = {"positive": "higher", "negative": "lower"}
-
-
-def _name_exceptions(paper: Paper) -> dict[str, set[str]]:
-    """Name the paper's exceptions: reducer -> which way they were rated, as far as claims say so."""
-    named: dict[str, set[str]] = {}
-    for claim in paper.claims:
-        for name in claim.exceptions:
-            named.setdefault(name, set())
-        if claim.measure == "rating_excess" and claim.expect in WAYS:
-            named.setdefault(str(claim.options.get("reducer")), set()).add(WAYS[claim.expect])
-    return named
 
 
 def _list_excesses(answers: Sequence[PaperAnswer]) -> Iterator[Row]:
@@ -151,24 +128,11 @@ def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
 
 def _list_metrics(found: DataFrame) -> Iterator[Row]:
     for row in found.to_dict("records"):
-        keys: Row = {key: row[key] for key in ROW_KEYS} | {"n": 1}
-        yield make_row("match", row["value"], **keys)
+        own: Row = {"n": 1, **{key: row[key] for key in ROW_KEYS}}
+        yield make_row("match", row["value"], **own)
         if math.isfinite(row.get("paper", math.nan)):
-            yield make_row(
-                "paper",
-                row["paper"],
-                note=f"{row['shown']} ({row['table']}, {row['source']})",
-                **keys,
-            )
-        for name in ("mounting_mean", "q05", "q50", "q95"):
-            if math.isfinite(row.get(name, math.nan)):
-                yield make_row(name, row[name], **keys)
-
-
-def make_section(paper: Paper, others: dict[str, Found]) -> Section:
-    """Make the section of a paper."""
-
-    def run(table: Table, choices: Choices) -> Found:
-        return compute(table, choices, paper, others=others)
-
-    return Section(KEY, TITLE, KEY, run)
+            note = f"{row['shown']} ({row['table']}, {row['source']})"
+            yield make_row("paper", row["paper"], note=note, **own)
+        names = ("mounting_mean", "q05", "q50", "q95")
+        known = [name for name in names if math.isfinite(row.get(name, math.nan))]
+        yield from list_rows([row], known, **own)

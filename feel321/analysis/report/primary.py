@@ -1,52 +1,39 @@
-"""Section: the primary model's slopes, what single stimuli, recordings and reducers do to them, and what they need."""
+"""Sections on slopes within recordings: the primary model, all metrics ranked, and the model under other choices."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from feel321.analysis.association import rivals
 from feel321.analysis.association.correlate import correlate
-from feel321.analysis.figures.kinds import draw_residuals, draw_slopes
+from feel321.analysis.figures import kinds
 from feel321.analysis.mixed.model import contrast
-from feel321.analysis.primary.model import (
-    FEW,
-    FEWEST,
-    Primary,
-    fit_primary,
-    fit_slopes,
-    tabulate_slopes,
-)
-from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, find_recording_slope, make_cells
-from feel321.analysis.primary.precision import (
-    SlopePrecision,
-    find_own,
-    find_recording_variance,
-    find_variances,
-)
-from feel321.analysis.primary.sensitivity import (
-    MOVED,
-    NOT_ESTIMABLE,
-    PREDICTS,
-    STIMULUS,
-    Influence,
-    conclude,
-    find_candidates,
-    judge_level,
-    measure_influence,
-)
+from feel321.analysis.primary import sensitivity
+from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, fit_slopes, tabulate_slopes
+from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, make_cells
+from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
 from feel321.analysis.replication.measures import explain_spread
-from feel321.analysis.report import parts
-from feel321.analysis.report.section import NONE, Found, Picture, Row, Section, count_rows, make_row
-from feel321.analysis.table.schema import STAND_INS
-from feel321.analysis.words import SATTERTHWAITE, TWO_WAY, format_count
+from feel321.analysis.report import section as parts
+from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.table.items import Part, format_recordings, split_tests
+from feel321.analysis.table.schema import AMPLITUDE, STAND_INS
+from feel321.analysis.words import SATTERTHWAITE, TWO_WAY, format_count, format_name
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from feel321.analysis.primary.model import Primary
+    from feel321.analysis.primary.sensitivity import Influence
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.metrics import Step
+    from feel321.records import Statistic
     from feel321.types import MetricInfo
 
 HIGHER, LOWER = "higher", "lower"
@@ -57,7 +44,7 @@ class Slope:
     """A slope of the primary model: its row, the model, and what single units do to it."""
 
     row: Row
-    part: parts.RatingsPart
+    part: Part
     model: Primary
     influence: Influence
     step: Step
@@ -69,6 +56,12 @@ class Slope:
         return str(self.row["metric"])
 
     @property
+    def keys(self) -> Row:
+        """What its rows say of it."""
+        keys = {"metric": self.metric, "interval": SATTERTHWAITE, "n": self.model.n_rows}
+        return {**self.part.keys, **keys}
+
+    @property
     def hinges(self) -> list[Row]:
         """Units without which a metric that predicts does not, or not in this direction."""
         turns = self.influence.find_turns(self.metric)
@@ -76,19 +69,16 @@ class Slope:
         return list(turns.to_dict("records")) if claimed else []
 
     def scale(
-        self, row: Mapping[Any, Any], name: str = "tenth", *, size: float | None = None
+        self, row: Mapping[Any, Any], name: str = "tenth", *, size: float = 0.1
     ) -> dict[str, float]:
-        """Take an estimate with its ends, from per 0.1 (or per size) to per step."""
-        share = self.step.size / (0.1 if size is None else size)
-        return {
-            end or "value": float(row[f"{name}_{end}" if end else name]) * share
-            for end in ("", "low", "high")
-        }
+        """Take an estimate with its ends, from per size to per step."""
+        ends = {"value": name, "low": f"{name}_low", "high": f"{name}_high"}
+        return {key: float(row[end]) * self.step.size / size for key, end in ends.items()}
 
 
 def compute(table: Table, choices: Choices) -> Found:
     """Fit the primary model of every scale and level."""
-    models: dict[parts.RatingsPart, Primary] = {}
+    models: dict[Part, Primary] = {}
     notes: list[str] = []
     losses: list[Row] = []
     for part in parts.thin_parts(table, choices):
@@ -97,67 +87,54 @@ def compute(table: Table, choices: Choices) -> Found:
             model = orient_differences(fit_primary(part.rows, table.metrics), table.info)
         except ValueError as error:
             notes.append(f"{part.lead}: no primary model. {error}")
-            losses.append(_lose(part, table.metrics, str(error)))
+            losses.append(_lose(part, table.metrics, str(error).removesuffix(".")))
             continue
         models[part] = model
-        notes += [
-            f"{part.lead}, primary model: {note}" for note in (*model.reductions, *model.notes)
-        ]
-        lost = [name for name in table.metrics if name not in model.slopes.index]
-        losses += [_lose(part, [name], _explain_loss(part, name)) for name in lost]
+        said = (*model.reductions, *model.notes)
+        notes += [f"{part.lead}, primary model: {note}" for note in said]
+        for name in (name for name in table.metrics if name not in model.slopes.index):
+            varies = part.rows.groupby("recording", observed=True)[name].nunique().max() > 1
+            lost = "within recordings it follows from the other metrics"
+            same = "the stimuli of a recording do not differ in it"
+            losses.append(_lose(part, [name], lost if varies else same))
     slopes = _list_slopes(table, models)
     verdicts = [make_verdict(one) for one in slopes]
     for loss in losses:
-        verdicts += [_blank_verdict(loss, name) for name in loss["metrics"]]
-    n_tests = sum(bool(one.row["estimable"]) for one in slopes)
-    needs = {(*one.part.place, one.metric): find_needs(one, n_tests=n_tests) for one in slopes}
-    told = [
-        _describe_part(part, [one for one in slopes if one.part is part], needs) for part in models
-    ]
-    rows = {
-        "slopes": [row for one in slopes for row in _list_estimates(one)],
-        "slope_differences": [row for part, model in models.items() for row in _list_differences(part, model)],
-        "influence": [row for one in slopes for row in _list_influence(one)],
-        "exceptions": [row for one in _take_first(slopes) for row in _list_exceptions(one)],
-        "unbounded": list(_compare_unbounded(table, models, choices)),
-        "models": [row for part, model in models.items() for row in _describe_model(part, model)],
-        "spreads": [
-            make_row("sd", row["sd"], n=model.n_rows, group=row["group"], term=row["term"], **part.keys)
-            for part, model in models.items() for row in model.fit.variances.to_dict("records")
-        ],
-        "slopes_between": [row for one in slopes for row in _list_between(one)],
-        "precision": [
-            row for one in slopes
-            for row in count_rows(
-                needs[*one.part.place, one.metric], n=one.model.n_rows, metric=one.metric, **one.part.keys
-            )
-        ],
-    }  # fmt: skip
-    facts: dict[str, Any] = {"parts": told, "losses": losses, "verdicts": verdicts}
-    pictures = tuple(_draw(table, models)) if models else ()
+        told = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
+        verdicts += [told | {"metric": name} | BLANK for name in loss["metrics"]]
+    own = {part: [one for one in slopes if one.part is part] for part in models}
+    rows: dict[str, list[Row]] = {name: [] for name in TABLES}
+    for part, model in models.items():
+        _list_model(part, model, rows)
+        for one in own[part]:
+            _list_slope(one, rows)
+            rows["influence"] += _list_influence(one)
+        odd = own[part][0].influence.exceptions.reset_index()
+        quantities = {"excess": "excess - - p", "exceptional": "exceptional"}
+        rows["exceptions"] += list_rows(odd, quantities, [REDUCER], n=model.n_rows, **part.keys)
+    rows["unbounded"] = list(_compare_unbounded(table, models, choices))
+    facts: dict[str, Any] = {
+        "parts": [_describe_part(part, mine) for part, mine in own.items()],
+        "losses": losses,
+        "verdicts": verdicts,
+    }
+    pictures = list(_draw(table, models)) if models else []
     return Found(rows, facts if verdicts else {}, pictures, notes, verdicts)
 
 
-def _lose(part: parts.RatingsPart, metrics: Sequence[str], reason: str) -> Row:
+TABLES = (
+    "slopes", "slope_differences", "influence", "exceptions", "unbounded", "models", "spreads", "slopes_between",
+)  # fmt: skip
+
+
+def _lose(part: Part, metrics: Sequence[str], why: str) -> Row:
     alike = part.rows["rating"].min() == part.rows["rating"].max()
-    why = "all ratings are the same" if alike else reason.removesuffix(".")
-    return {
-        **part.keys,
-        "subject": part.subject,
-        "ratings": part.ratings,
-        "metrics": list(metrics),
-        "why": why,
-    }
+    why = "all ratings are the same" if alike else why
+    told = {"subject": part.subject, "ratings": part.ratings, "metrics": list(metrics), "why": why}
+    return {**part.keys, **told}
 
 
-def _explain_loss(part: parts.RatingsPart, metric: str) -> str:
-    varies = part.rows.groupby("recording", observed=True)[metric].nunique().max() > 1
-    if varies:
-        return "within recordings it follows from the other metrics"
-    return "the stimuli of a recording do not differ in it"
-
-
-def _list_slopes(table: Table, models: Mapping[parts.RatingsPart, Primary]) -> list[Slope]:
+def _list_slopes(table: Table, models: Mapping[Part, Primary]) -> list[Slope]:
     """Put every slope together with what single stimuli, recordings and reducers do to it."""
     if not models:
         return []
@@ -166,28 +143,27 @@ def _list_slopes(table: Table, models: Mapping[parts.RatingsPart, Primary]) -> l
     for part, model in models.items():
         own = slopes["attribute"] == part.lead
         others = slopes.loc[~own, "p"].tolist()
-        influence = measure_influence(part.rows, table.metrics, model, others=others)
+        influence = sensitivity.measure_influence(part.rows, table.metrics, model, others=others)
         for row in slopes[own].to_dict("records"):
             name = str(row["metric"])
             found.append(Slope(row, part, model, influence, steps[name], table.info.get(name)))
     return found
 
 
-def _take_first(slopes: Sequence[Slope]) -> list[Slope]:
-    return list({one.part.place: one for one in reversed(slopes)}.values())[::-1]
-
-
 def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primary:
     """Compare slopes each in the direction that its metric declares: one of which lower is better changes its sign."""
-    worse = {name for name in model.slopes.index if name in info and info[name].higher == "worse"}
-    if not worse:
+    signs = {
+        name: -1.0 if name in info and info[name].higher == "worse" else 1.0
+        for name in map(str, model.slopes.index)
+    }
+    if min(signs.values(), default=1.0) > 0:
         return model
-    scales, rows = (model.slopes["standardised"] / model.slopes["estimate"]).to_dict(), []
+    scales = (model.slopes["standardised"] / model.slopes["estimate"]).to_dict()
+    rows = []
     for row in model.differences.to_dict("records"):
         one, other = str(row["first"]), str(row["second"])
-        signs = [-1.0 if name in worse else 1.0 for name in (one, other)]
         for prefix, sizes in (("", (1.0, 1.0)), ("standardised_", (scales[one], scales[other]))):
-            weights = {f"{one}_w": signs[0] * sizes[0], f"{other}_w": -signs[1] * sizes[1]}
+            weights = {f"{one}_w": signs[one] * sizes[0], f"{other}_w": -signs[other] * sizes[1]}
             found = dict(contrast(model.fit, weights)) if math.isfinite(row["low"]) else {}
             row |= {f"{prefix}{key}": value for key, value in found.items()}
         rows.append(row)
@@ -195,6 +171,12 @@ def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primar
 
 
 # What is concluded of a slope.
+
+BLANK: Row = {
+    "verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False, "hinges_on": [],
+    "better_than": [], "few": [], "beyond_level": "",
+}  # fmt: skip
+"""The verdict on a metric without a slope."""
 
 
 def make_verdict(one: Slope) -> Row:
@@ -218,14 +200,8 @@ def make_verdict(one: Slope) -> Row:
         "verdict": verdict, "direction": direction, "higher": "better" if expected == HIGHER else "worse",
         "opposite": verdict == PREDICTS and direction != expected, "hinges_on": hinges, "better_than": better,
         "few": [format_count(size, name) for name, size in units if size < least],
-        "beyond_level": judge_level(one.model.level, one.row["p_holm"], one.row["plain_p_holm"]),
+        "beyond_level": sensitivity.judge_level(one.model.level, one.row["p_holm"], one.row["plain_p_holm"]),
     }  # fmt: skip
-
-
-def _blank_verdict(loss: Row, metric: str) -> Row:
-    blank = {"verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False}
-    more = {"hinges_on": [], "better_than": [], "few": [], "beyond_level": "", "metric": metric}
-    return {key: loss[key] for key in ("scale", "level", "subject", "ratings")} | more | blank
 
 
 def find_better(row: Mapping[Any, Any]) -> str:
@@ -245,88 +221,63 @@ def _count_units(model: Primary) -> dict[str, int]:
 # Rows.
 
 
-def _list_estimates(one: Slope) -> Iterator[Row]:
-    row, n = one.row, one.model.n_rows
-    keys: Row = {**one.part.keys, "metric": one.metric, "interval": SATTERTHWAITE, "n": n}
-    quartile = {end: row[f"quartile_{end}"] for end in ("low", "high")}
-    yield make_row("slope_quartile", row["quartile_effect"], **quartile, p=row["p_holm"], **keys)
-    yield make_row("slope", **one.scale(row), p=row["p_holm"], **keys)
-    yield make_row("step", one.step.size, note=one.step.per, **keys)
-    yield make_row("slope_centred", **one.scale(row, "centred", size=1), p=row["centred_p"], **keys)
-    if math.isfinite(row["plain"]):
-        yield make_row(
-            "slope_without_level", row["plain"] * one.step.size, p=row["plain_p_holm"], **keys
-        )
-    yield make_row("df", row["df"], **keys)
-    yield make_row(
-        "standardised", **one.scale(row, "standardised", size=one.step.size), p=row["p"], **keys
-    )
+SLOPES = {
+    "slope_quartile": "quartile_effect quartile_low quartile_high p_holm", "slope": "value low high p_holm",
+    "slope_centred": "centred centred_low centred_high centred_p", "df": "df",
+    "standardised": "standardised standardised_low standardised_high p",
+    "slope_without_level": "plain - - plain_p_holm",
+}  # fmt: skip
 
 
-def _list_between(one: Slope) -> Iterator[Row]:
+def _list_slope(one: Slope, rows: dict[str, list[Row]]) -> None:
+    size, row = one.step.size, one.row
+    scaled = {name: row[name] * size for name in ("centred", "centred_low", "centred_high", "plain")}  # fmt: skip
+    found = list_rows([row | scaled | one.scale(row)], SLOPES, **one.keys)
+    rows["slopes"] += found if math.isfinite(row["plain"]) else found[:-1]
+    rows["slopes"].append(make_row("step", size, note=one.step.per, **one.keys))
     between = one.model.between
     if one.metric in between.index:
         row = between.loc[one.metric].to_dict()
-        ends = {end: row[end] * one.step.size for end in ("low", "high")}
-        keys: Row = {**one.part.keys, "metric": one.metric, "interval": SATTERTHWAITE}
-        value = row["estimate"] * one.step.size
-        yield make_row("slope_between", value, **ends, p=row["p"], n=one.model.n_rows, **keys)
+        row |= {name: row[name] * size for name in ("estimate", "low", "high")}
+        quantities = {"slope_between": "estimate low high p"}
+        rows["slopes_between"] += list_rows([row], quantities, **one.keys)
 
 
-def _list_differences(part: parts.RatingsPart, model: Primary) -> Iterator[Row]:
-    for row in model.differences.to_dict("records"):
-        keys: Row = {
-            **part.keys,
-            "metric": row["first"],
-            "second_metric": row["second"],
-            "interval": SATTERTHWAITE,
-        }
-        for quantity, lead in (("difference", ""), ("difference_standardised", "standardised_")):
-            ends = {end: row[f"{lead}{end}"] for end in ("low", "high", "p")}
-            yield make_row(quantity, row[f"{lead}estimate"], **ends, n=model.n_rows, **keys)
-        yield make_row("df", row["standardised_df"], n=model.n_rows, **keys)
+SIZES = (
+    "marginal_r2", "conditional_r2", "item_variance_explained", "n_rows", "n_participants", "n_recordings",
+    "n_sources", "n_items",
+)  # fmt: skip
 
 
-def _list_influence(one: Slope) -> Iterator[Row]:
+def _list_model(part: Part, model: Primary, rows: dict[str, list[Row]]) -> None:
+    keys: Row = {**part.keys, "n": model.n_rows}
+    fit = {"fit": "singular" if model.fit.singular else "regular"}
+    sizes = {name: getattr(model, name) for name in SIZES}
+    rows["models"] += list_rows([fit | sizes], ["fit", *SIZES], **keys)
+    rows["spreads"] += list_rows(model.fit.variances, ["sd"], ["group", "term"], **keys)
+    standardised = [f"standardised_{end}" for end in ("estimate", "low", "high", "p")]
+    quantities = {
+        "difference": "estimate low high p", "difference_standardised": " ".join(standardised),
+        "df": "standardised_df",
+    }  # fmt: skip
+    pair = {"metric": "first", "second_metric": "second"}
+    rows["slope_differences"] += list_rows(
+        model.differences, quantities, pair, interval=SATTERTHWAITE, **keys
+    )
+
+
+def _list_influence(one: Slope) -> list[Row]:
+    """List what each unit does, first those that turn a verdict or move a slope."""
     table = one.influence.table
     if table.empty:
-        return
-    # Those first that turn a verdict or move a slope.
+        return []
     own = table[table["metric"] == one.metric].sort_values("moves", ascending=False, kind="stable")
-    for row in own.to_dict("records"):
-        keys: Row = {
-            **one.part.keys,
-            "metric": one.metric,
-            "kind": row["kind"],
-            "unit": row["unit"],
-            "n": one.model.n_rows,
-        }
-        yield make_row("slope", **one.scale(row), p=row["p_holm"], interval=SATTERTHWAITE, **keys)
-        yield make_row("shift", row["shift"], **keys)
-        yield make_row("verdict", note=str(row["verdict"]).replace("_", " "), **keys)
-
-
-def _list_exceptions(one: Slope) -> Iterator[Row]:
-    for row in one.influence.exceptions.reset_index().to_dict("records"):
-        keys: Row = {**one.part.keys, "reducer": row["reducer"], "n": one.model.n_rows}
-        yield make_row("excess", row["excess"], p=row["p"], **keys)
-        yield make_row("exceptional", note="yes" if row["exceptional"] else "no", **keys)
-
-
-_SIZES = ("marginal_r2", "conditional_r2", "item_variance_explained")
-
-
-def _describe_model(part: parts.RatingsPart, model: Primary) -> Iterator[Row]:
-    yield make_row(
-        "fit", note="singular" if model.fit.singular else "regular", n=model.n_rows, **part.keys
-    )
-    names = (
-        *_SIZES,
-        *(f"n_{name}" for name in ("rows", "participants", "recordings", "sources", "items")),
-    )
-    yield from count_rows(
-        {name: getattr(model, name) for name in names}, n=model.n_rows, **part.keys
-    )
+    records = [
+        row | one.scale(row) | {"verdict": str(row["verdict"]).replace("_", " ")}
+        for row in own.to_dict("records")
+    ]
+    quantities = {"slope": "value low high p_holm", "shift": "shift", "verdict": "verdict"}
+    return list_rows(records, quantities, ["kind", "unit"], **one.keys)
 
 
 BOUNDED = "spectral_match_bounded"
@@ -334,144 +285,66 @@ UNBOUNDED = STAND_INS[BOUNDED]
 
 
 def _compare_unbounded(
-    table: Table, models: Mapping[parts.RatingsPart, Primary], choices: Choices
+    table: Table, models: Mapping[Part, Primary], choices: Choices
 ) -> Iterator[Row]:
     """Give the paper's own spectral match, where the primary analysis uses the bounded one and both are there."""
     if BOUNDED not in table.metrics or UNBOUNDED not in table.further:
         return
     metrics = [UNBOUNDED if name == BOUNDED else name for name in table.metrics]
-    for part, model in models.items():
-        if not model.slopes["estimable"].any():
-            continue
-        rng = choices.make_rng("paper", *part.place)
-        ranks = correlate(
-            part.rows, UNBOUNDED, method="within_spearman", draws=choices.draws, rng=rng
-        )
+    for part in (part for part, model in models.items() if model.slopes["estimable"].any()):
+        rng, method = choices.make_rng("paper", *part.place), "within_spearman"
+        ranks = correlate(part.rows, UNBOUNDED, method=method, draws=choices.draws, rng=rng)
         cells = make_cells(part.rows, metrics)
-        item = find_candidates(cells, count=1)[0]
+        item = sensitivity.find_candidates(cells, count=1)[0]
         keys: Row = {**part.keys, "metric": UNBOUNDED}
-        yield make_row(
-            "ranks",
-            ranks.value,
-            low=ranks.low,
-            high=ranks.high,
-            n=ranks.n_items,
-            interval=TWO_WAY,
-            **keys,
-        )
-        for quantity, some in (
-            ("slope", cells),
-            ("slope_without", cells.leave_out(parts.ITEM, item)),
-        ):
-            row: Any = fit_slopes(some).table.loc[UNBOUNDED]
-            ends = {"low": row["tenth_low"], "high": row["tenth_high"], "n": len(some.table)}
-            yield make_row(quantity, row["tenth"], **ends, interval=SATTERTHWAITE, **keys)
-        yield make_row("stimulus", note=item, **keys)
-
-
-# What a larger study would know.
-
-
-def find_needs(one: Slope, *, n_tests: int) -> dict[str, float]:
-    """Find what would settle a slope; NaN where nothing can be planned from it."""
-    turns = not one.influence.find_moves(one.metric).empty
-    if not one.row["estimable"] or turns:
-        return dict.fromkeys(("detectable", "participants", "recordings", "power_infinite"), NONE)
-    study, slope = (
-        find_precision(one.metric, one.part, one.model, n_tests=n_tests),
-        one.row["estimate"],
-    )
-    return {
-        "detectable": study.find_slope() * one.step.size,
-        "participants": study.find_participants(slope),
-        "recordings": study.find_recordings(slope),
-        "power_infinite": study.enlarge(participants=10**9).find_power(slope),
-    }
-
-
-def find_precision(
-    metric: str, part: parts.RatingsPart, model: Primary, *, n_tests: int = 1
-) -> SlopePrecision:
-    """Take the standard error of a slope apart, by the spreads that were estimated."""
-    cells = make_cells(part.rows, list(model.slopes.index))
-    within = [f"{name}_w" for name in model.slopes.index]
-    variances = model.fit.variances.to_dict("records")
-    spreads = {(row["group"], row["term"]): float(row["sd"]) for row in variances}
-    found = {group: sd for (group, term), sd in spreads.items() if term == "(Intercept)"}
-    pairs = part.rows.groupby(["participant", parts.ITEM], observed=True)
-    repeats = 1 if model.averaged else len(part.rows) / len(pairs)
-    items = cells.table.drop_duplicates(parts.ITEM)
-    known = REDUCER in found or f"participant:{REDUCER}" in found
-    codes = items[REDUCER].factorize()[0] if known else None
-    study = SlopePrecision(
-        slope_sd=spreads.get(("participant", f"{metric}_w"), 0.0), item_sd=found.get(parts.ITEM, 0.0),
-        noise_sd=math.hypot(found.get("participant:item", 0.0), model.fit.residual_sd / math.sqrt(repeats)), square=1.0,
-        n_participants=model.n_participants, n_recordings=model.n_sources, n_items=len(items), n_slopes=len(within),
-        reducer_sd=found.get(REDUCER, 0.0), rater_reducer_sd=found.get(f"participant:{REDUCER}", 0.0),
-        n_reducers=model.n_reducers if known else 0, n_alike=len(items) / model.n_reducers if known else 1.0,
-        level=parts.SIGNIFICANCE / n_tests,
-    )  # fmt: skip
-    place, values = within.index(f"{metric}_w"), items[within].to_numpy()
-    own, alike = find_own(values, place, codes, variances=find_variances(study))
-    study = replace(study, square=float((own**2).sum()), reducer_square=float((alike**2).sum()))
-    sds = [find_recording_slope(spreads, name) for name in model.slopes.index]
-    scenes = items[SOURCE if cells.shared else SCENE].factorize()[0]
-    theirs = find_recording_variance(study, own, alike, scenes=scenes, spreads=values * sds)
-    study = replace(study, recording_variance=theirs)
-    if not cells.shared:
-        return study
-    # Of stimuli that share a residual, metrics that they share too add up before they are squared.
-    groups = [SOURCE, REDUCER]
-    sums = items.assign(own=own).groupby(groups, observed=True)["own"].sum()
-    shared = found.get(":".join(groups), 0.0) ** 2 * float((sums**2).sum()) / study.square
-    n_items = cells.count(*groups)
-    return replace(study, item_sd=math.sqrt(study.item_sd**2 + shared), n_items=n_items)
+        ends: Row = {"low": ranks.low, "high": ranks.high, "n": ranks.n_items, "interval": TWO_WAY}
+        yield make_row("ranks", ranks.value, **ends, **keys)
+        rest = cells.leave_out("item", item)
+        for quantity, some in (("slope", cells), ("slope_without", rest)):
+            row = fit_slopes(some).table.loc[UNBOUNDED].to_dict()
+            keys |= {"n": len(some.table), "interval": SATTERTHWAITE}
+            yield from list_rows([row], {quantity: "tenth tenth_low tenth_high"}, **keys)
+        yield make_row("stimulus", item, **keys | {"n": 0})
 
 
 # Facts for the words.
 
 
-def _describe_part(
-    part: parts.RatingsPart,
-    slopes: Sequence[Slope],
-    needs: Mapping[tuple[str, str, str], dict[str, float]],
-) -> Row:
+def _describe_part(part: Part, slopes: Sequence[Slope]) -> Row:
     """Gather what the template says of one scale and level."""
     model, influence = slopes[0].model, slopes[0].influence
-    findings = [_describe_slope(one, needs[*part.place, one.metric]) for one in slopes]
+    findings = [_describe_slope(one) for one in slopes]
     tried = influence.table
     kinds: Any = (
         [] if tried.empty else tried.loc[tried["verdict"] != NOT_ESTIMABLE, "kind"].unique()
     )
+    odd = influence.exceptions.reset_index().to_dict("records")
     return {
         "subject": part.subject, "ratings": part.ratings, "findings": findings,
         "blank": all(one["verdict"] == NOT_ESTIMABLE for one in findings),
         "comparisons": list(_compare_slopes(model, findings)),
-        "exceptions": [
-            row for row in influence.exceptions.reset_index().to_dict("records") if row["exceptional"]
-        ],
+        "exceptions": [row for row in odd if row["exceptional"]],
         "spreads": list(filter(None, (explain_spread(part.rows, one.metric) for one in slopes))),
         "unbounded": any(one.metric == UNBOUNDED for one in slopes),
         "sizes": _count_units(model), "n_items": model.n_items, "n_recordings": model.n_recordings,
-        "level": model.level, "tried": [kind for kind in kinds if kind != STIMULUS],
+        "level": model.level, "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
     }  # fmt: skip
 
 
-def _describe_slope(one: Slope, needs: dict[str, float]) -> Row:
+def _describe_slope(one: Slope) -> Row:
+    def describe(unit: Mapping[Any, Any]) -> Row:
+        direction = HIGHER if unit["tenth"] > 0 else LOWER
+        named = {"name": f"{unit['kind']} {unit['unit']}", "verdict": unit["verdict"]}
+        return named | {"direction": direction, "step": one.scale(unit)}
+
     row, moves = one.row, one.influence.find_moves(one.metric).to_dict("records")
-    moved = [unit for unit in moves if abs(unit["shift"]) > MOVED]
+    quartile = {"value": row["quartile_effect"], "low": row["quartile_low"], "high": row["quartile_high"]}  # fmt: skip
+    moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
     return make_verdict(one) | {
-        "quartile": {"value": row["quartile_effect"], "low": row["quartile_low"], "high": row["quartile_high"]},
-        "step": one.scale(row), "per": one.step.per, "p": row["p_holm"], "needs": needs,
-        "hinges": [_describe_unit(one, unit) for unit in one.hinges],
-        "moves": [] if one.hinges else [_describe_unit(one, unit) for unit in moved],
+        "quartile": quartile, "step": one.scale(row), "per": one.step.per, "p": row["p_holm"],
+        "hinges": [describe(unit) for unit in one.hinges], "moves": [] if one.hinges else moved,
         "scenes": "sources" if one.model.n_sources < one.model.n_recordings else "recordings",
     }  # fmt: skip
-
-
-def _describe_unit(one: Slope, unit: Mapping[Any, Any]) -> Row:
-    named = {"name": f"{unit['kind']} {unit['unit']}", "verdict": unit["verdict"]}
-    return named | {"direction": HIGHER if unit["tenth"] > 0 else LOWER, "step": one.scale(unit)}
 
 
 def _compare_slopes(model: Primary, findings: Sequence[Row]) -> Iterator[Row]:
@@ -479,9 +352,8 @@ def _compare_slopes(model: Primary, findings: Sequence[Row]) -> Iterator[Row]:
     by_metric = {one["metric"]: one for one in findings}
     for row in model.differences.to_dict("records"):
         pair = [by_metric[str(row["first"])], by_metric[str(row["second"])]]
-        ends = {
-            end or "value": row[f"standardised_{end or 'estimate'}"] for end in ("", "low", "high")
-        }
+        names = {"value": "estimate", "low": "low", "high": "high"}
+        ends = {end: row[f"standardised_{name}"] for end, name in names.items()}
         if math.isnan(ends["low"]) or NOT_ESTIMABLE in {one["verdict"] for one in pair}:
             continue
         better = find_better(row)
@@ -494,18 +366,169 @@ def _compare_slopes(model: Primary, findings: Sequence[Row]) -> Iterator[Row]:
         }  # fmt: skip
 
 
-def _draw(table: Table, models: Mapping[parts.RatingsPart, Primary]) -> Iterator[Picture]:
+def _draw(table: Table, models: Mapping[Part, Primary]) -> Iterator[Picture]:
     steps = parts.find_table_steps(table)
+    per = {step.per for step in steps.values()}
     caption = (
-        f"Slope within recordings of ratings on each metric, points per {parts.join_steps(steps)} of it, mixed model; "
-        "bars: 95 % Satterthwaite intervals, not adjusted; hollow: singular fit."
+        f"Slope within recordings of ratings on each metric, points per {per.pop() if len(per) == 1 else 'step'} of "
+        "it, mixed model; bars: 95 % Satterthwaite intervals, not adjusted; hollow: singular fit."
     )
     drawn = {part.subject: model for part, model in models.items()}
-    yield Picture("slopes", caption, partial(draw_slopes, drawn, steps))
+    yield Picture("slopes", caption, partial(kinds.draw_slopes, drawn, steps))
     caption = "Residuals of the primary models: left against normal quantiles, right against fitted values."
-    yield Picture("residuals", caption, partial(draw_residuals, drawn), detail=True)
+    yield Picture("residuals", caption, partial(kinds.draw_residuals, drawn), detail=True)
 
 
-SECTION = Section(
-    "primary", "Change in rating with each metric, within recordings", "predict", compute
+# All metrics, the best first: out of fold and corrected for how many were tried.
+
+STRENGTH = "level_as_played"
+JOINT = "simultaneous 95 % interval, for other participants, recordings and reducers"
+PICKING = "95 % bootstrap interval, over participants, recordings and reducers"
+
+
+def compute_rivals(table: Table, choices: Choices) -> Found:
+    """Rank all metrics on every scale and level, where a comparison was asked for."""
+    told: list[Row] = []
+    notes: list[str] = []
+    pictures: list[Picture] = []
+    rows: dict[str, list[Row]] = {"rivals": [], "rivals_picked": []}
+    for part in split_tests(table) if table.rivals else ():
+        try:
+            ranking = _rank(part, table, choices)
+        except ValueError as error:  # it was asked for, so the answer says why there is none
+            told.append({"subject": part.subject, "why": str(error)})
+            continue
+        told.append({"subject": part.subject, "why": "", **describe_ranking(part, ranking)})
+        notes += [f"{part.lead}, metrics ranked: {note}" for note in ranking.notes]
+        pictures.append(_draw_ranking(part, ranking, detail=bool(pictures)))
+        over = {"over_baseline": "over_baseline over_low over_high over_p"}
+        quantities = {
+            "r_out_of_fold": "value low high p", "r_over_ceiling": "share", **(over if ranking.baseline else {}),
+            "may_be_best": "may_be_best", "chosen": "chosen", "r_in_fold": "fitted",
+        }  # fmt: skip
+        keys: Row = {**part.keys, "n": ranking.n_items}
+        frame = ranking.to_frame()
+        rows["rivals"] += list_rows(frame, quantities, ["metric"], interval=JOINT, **keys)
+        ends = {"low": ranking.honest_low, "high": ranking.honest_high, "interval": PICKING}
+        rows["rivals_picked"].append(make_row("r_picked", ranking.honest_value, **ends, **keys))
+        names = ("ceiling", "n_items", "n_participants", "n_sources")
+        sizes = {name: getattr(ranking, name) for name in names} | {"n_metrics": len(frame)}
+        rows["rivals_picked"] += parts.count_rows(sizes, **keys)
+    return Found(rows, {"parts": told} if told else {}, pictures, notes)
+
+
+def _rank(part: Part, table: Table, choices: Choices) -> Statistic:
+    rows, names = part.rows, list(table.rivals)
+    # Where no metric of the set is about level alone, the level as played is.
+    if not set(rivals.BASELINES) & set(names) and AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all():
+        rows = rows.assign(**{STRENGTH: 20 * np.log10(rows[AMPLITUDE])})
+        names.append(STRENGTH)
+    rng = choices.make_rng("rivals", *part.place)
+    return rivals.rank_metrics(rows, names, draws=choices.draws, rng=rng, info=table.info)
+
+
+def _draw_ranking(part: Part, one: Statistic, *, detail: bool) -> Picture:
+    caption = (
+        f"How well each metric predicts {part.ratings} within recordings, out of fold: correlation with simultaneous "
+        "95 % intervals; hollow: not in the confidence set of the best metric. Dashed: noise ceiling; dotted: level "
+        "alone."
+    )
+    level = one.table["value"].to_dict().get(one.baseline, np.nan)
+    scenes = format_recordings(one.n_recordings, one.n_sources)
+    size = f"{one.n_participants} participants, {scenes}, {one.n_items} stimuli"
+    frame = one.to_frame().rename(columns={"may_be_best": "filled"})
+    frame["name"] = frame["metric"].map(format_name)
+    lines = {"-": 0.0, "--": one.ceiling, ":": level}
+    title, label = f"{len(frame)} metrics, {size}.", "Correlation within recordings, out of fold"
+    draw = partial(kinds.draw_estimates, frame, label, lines=lines, title=title)
+    return Picture(parts.make_slug("rivals", *part.place), caption, draw, detail)
+
+
+def describe_ranking(part: Part, ranking: Statistic) -> Row:
+    """Decide which metric may be said to predict best: verdict, and the numbers that its sentence needs."""
+    table, row = ranking.table, ranking.to_frame().to_dict("records")[0]
+    shown = list(map(str, table.index[(table["p"] < rivals.LEVEL) & (table["value"] > 0)]))
+    if 0 < ranking.n_reducers < rivals.FEWEST_REDUCERS:
+        verdict = "few_reducers"
+    elif ranking.baseline and not ranking.better:
+        verdict = "not_above_level"
+    elif not ranking.baseline and not shown:
+        verdict = "none"
+    else:
+        verdict = "alone" if ranking.alone else "unresolved"
+    return {
+        "verdict": verdict, "ratings": part.ratings, "best": ranking.best, "baseline": ranking.baseline,
+        "better": list(ranking.better) if ranking.baseline else shown, "n_metrics": len(table),
+        "n_candidates": len(ranking.candidates), "n_reducers": ranking.n_reducers, "needed": rivals.FEWEST_REDUCERS,
+        "r": {"value": row["value"], "low": row["low"], "high": row["high"]}, "ceiling": ranking.ceiling,
+        "picked": {"value": ranking.honest_value, "low": ranking.honest_low, "high": ranking.honest_high},
+    }  # fmt: skip
+
+
+# The primary slopes under other choices.
+
+MOST_CELLS = 20_000
+"""Participants x stimuli beyond which the models would take many minutes."""
+
+
+def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
+    """Repeat the primary analysis under other choices."""
+    notes: list[str] = []
+    rows: list[Row] = []
+    pictures: list[Picture] = []
+    for part in split_tests(table):
+        cells = len(part.rows.groupby(["participant", "item"], observed=True))
+        try:
+            if cells > MOST_CELLS or parts.is_large(part.rows, len(table.metrics)):
+                raise ValueError(f"{cells} participant x stimulus cells are too many.")  # noqa: TRY301 - as a model's reasons
+            varied = sensitivity.vary_primary(part.rows, table.metrics)
+        except ValueError as error:
+            notes.append(f"{part.lead}: no variants. {error}")
+            continue
+        caption = (
+            f"Standardised slopes of {part.ratings} within recordings under other choices; 95 % Satterthwaite "
+            "intervals; hollow: singular fit."
+        )
+        slug = parts.make_slug("variants", *part.place)
+        frame = varied.rename(columns={"variant": "name"}).assign(filled=~varied["singular"])
+        columns = "standardised standardised_low standardised_high"
+        label = "SD of ratings per SD of metric"
+        draw = partial(kinds.draw_estimates, frame, label, columns=columns, series="metric")
+        pictures.append(Picture(slug, caption, draw, detail=bool(pictures)))
+        rows += _list_variants(part, varied)
+        own = varied.drop_duplicates("variant").set_index("variant")["reason"]
+        # What the primary model lacks is said in its own section.
+        others = own[(own != "") & (own != own["primary"])]
+        for reason, names in others.groupby(others, sort=False).groups.items():
+            notes.append(f"{part.lead}, {'; '.join(names)}: {reason}")
+    return Found({"variants": rows}, {"turned": find_turned(rows)} if rows else {}, pictures, notes)
+
+
+def _list_variants(part: Part, varied: DataFrame) -> Iterator[Row]:
+    keys: Row = {**part.keys, "n": len(part.rows), "interval": SATTERTHWAITE}
+    columns = {"variant": "variant", "metric": "metric"}
+    ends = "standardised standardised_low standardised_high p"
+    with_reason = columns | {"note": "reason"}
+    yield from list_rows(varied, {"standardised": ends}, with_reason, **keys)
+    yield from list_rows(varied, {"slope": "estimate"}, columns | {"note": "unit"}, **keys)
+
+
+def find_turned(rows: Sequence[Row]) -> list[Row]:
+    """Find the slopes whose interval excludes zero in the primary model, and not so under another choice."""
+
+    def sign(row: Row) -> int:
+        return int(row["low"] > 0) - int(row["high"] < 0)
+
+    def place(row: Row) -> tuple[str, str, str]:
+        return row["scale"], row["level"], row["metric"]
+
+    own = [row for row in rows if row["quantity"] == "standardised"]
+    whole = {place(row): sign(row) for row in own if row["variant"] == "primary"}
+    return [row for row in own if math.isfinite(row["low"]) and sign(row) != whole[place(row)]]
+
+
+SECTIONS = (
+    Section("primary", "Change in rating with each metric, within recordings", "predict", compute),
+    Section("rivals", "Which metric predicts best?", "predict", compute_rivals),
+    Section("robustness", "Robustness to other choices", "hinge", compute_robustness),
 )

@@ -1,33 +1,35 @@
-"""Section: who was flagged by which screening rule, how far raters agree, and the slopes without those flagged."""
+"""Sections on whether the ratings can be trusted: the vibration delivered, raters flagged, slopes without them."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.figures.kinds import draw_raters
+from feel321.analysis.figures import kinds
 from feel321.analysis.primary.model import adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, list_changes
-from feel321.analysis.report import parts
-from feel321.analysis.report.section import Found, Picture, Row, Section, count_rows, make_row
-from feel321.analysis.screening.consistency import RaterModel, rater_model
-from feel321.analysis.screening.screen import Screening, screen_raters
-from feel321.analysis.table.items import recast_pairs
-from feel321.analysis.table.schema import APART, PAIR
+from feel321.analysis.report import section as parts
+from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.screening.consistency import rater_model
+from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
+from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import SATTERTHWAITE, format_name
+from feel321.names import MATCHES
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
+    from feel321.analysis.screening.consistency import RaterModel
+    from feel321.analysis.screening.screen import Screening
     from feel321.analysis.table.items import Table
 
-KEY = "raters"
-ALONE = "One rater is left: an interval would not know how people differ."
 NORMAL = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % interval."""
 
@@ -39,10 +41,11 @@ GROUPS = {
 }
 """Groups of raters that the primary slopes are fitted to -> what they are called."""
 
-AGREEMENT = {
-    "icc_c_1": "ICC(C,1)", "icc_a_1": "ICC(A,1)", "icc_c_k": "ICC(C,k)", "icc_a_k": "ICC(A,k)",
-    "alpha": "Krippendorff's α",
-}  # fmt: skip
+AGREEMENT = (
+    "icc_c_1", "icc_a_1", "icc_c_k", "icc_a_k", "alpha", "n_participants", "n_complete",
+)  # fmt: skip
+FIT = ("loglikelihood", "aic", "bic", "n_parameters")
+Models = list[tuple[Part, "RaterModel"]]
 
 
 def compute(table: Table, choices: Choices) -> Found:
@@ -51,36 +54,29 @@ def compute(table: Table, choices: Choices) -> Found:
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
     if single.empty:
         return Found(notes=("Raters were not screened: no stimulus was rated by itself.",))
-    screening = screen_raters(single, own=choices.rules, rng=choices.make_rng(KEY))
-    models, more_notes = _fit_models(single)
+    screening = screen_raters(single, own=choices.rules, rng=choices.make_rng("raters"))
+    models: Models = []
+    notes = list(screening.notes)
+    for part in split_arms(single):  # hidden references and anchors included
+        try:
+            model = rater_model(part.rows)
+        except ValueError as error:
+            notes.append(f"{part.lead}, rater model: none. {error}")
+            continue
+        models.append((part, model))
+        notes += [f"{part.lead}, rater model: {note}" for note in model.notes]
     slopes = conclude_panels(list(_vary(table, screening, choices)))
-    steps = parts.find_table_steps(table)
-    listed = {
-        "screening_rules": list(_list_rules(screening)),
-        "reliability": list(_list_agreements(screening)),
-        "slopes_without_hits": [row for one in slopes for row in _list_slope(one, steps[one["metric"]].size)],
-        "repeats": list(_list_repeats(table)),
-        "rater_model": [row for place, model in models for row in _list_raters(place, model)],
-        "rater_model_fit": [
-            row for place, model in models
-            for row in count_rows({key: getattr(model, key) for key in _FIT}, n=model.n_ratings, **place)
-        ],
-        "screening": list(_list_screened(screening)),
-        "expertise": [row for one in screening.gauge.to_dict("records") for row in _list_expertise(one)],
-        "stimuli_of_raters": list(_list_stimuli(models, screening)),
-        "excerpts": list(_list_excerpts(screening)),
-    }  # fmt: skip
-    several = len({place["level"] for place, _ in models}) > 1
-    changes = dict.fromkeys(
-        (row["metric"], row["scale"], row["level"] * several) for row in list_changes(slopes)
-    )
+    changes, several = list(list_changes(slopes)), len({part.level for part, _ in models}) > 1
     facts = {
-        **describe_flagged(screening), "changes": [list(one) for one in changes],
-        "models": [_describe_model(place, model, several=several) for place, model in models],
+        **describe_flagged(screening),
+        "changes": [list(one) for one in dict.fromkeys(
+            (row["metric"], row["scale"], row["level"] * several) for row in changes
+        )],
+        "models": [_describe_model(part, model) for part, model in models],
         "rules": {
             rule: screening.known[rule].says.format(limit=limit) for rule, limit in screening.limits.items()
         },
-        "unflagged": [row for row in list_changes(slopes) if row["panel"] == ANY],
+        "unflagged": [row for row in changes if row["panel"] == ANY],
     }  # fmt: skip
     caption = (
         "Inconsistency of every rater: the standard deviation, in points, about the quality of the stimulus plus the "
@@ -88,163 +84,118 @@ def compute(table: Table, choices: Choices) -> Found:
         "Flagged raters should be followed up, not automatically excluded."
     )
     flagged = {str(who) for rule in screening.hits.values() for who in rule}
-    drawn = [(_name(place, several=several), model) for place, model in models]
-    pictures = [Picture(KEY, caption, partial(draw_raters, drawn, flagged))] if drawn else []
-    return Found(listed, facts, pictures, (*screening.notes, *more_notes))
+    picture = Picture("raters", caption, partial(_draw_raters, models, flagged))
+    listed = _list_screening(screening) | _list_models(models)
+    listed |= {
+        "repeats": list(_list_repeats(table)),
+        "slopes_without_hits": _list_slopes(table, slopes),
+    }
+    return Found(listed, facts, [picture] if models else [], notes)
 
 
-_FIT = ("loglikelihood", "aic", "bic", "n_parameters")
-Place = dict[str, str]
-Models = list[tuple[Place, RaterModel]]
+def _draw_raters(models: Models, flagged: set[str]) -> Figure:
+    from pandas import concat
 
-
-def _name(place: Place, *, several: bool) -> str:
-    return format_name(place["scale"]) + f", {format_name(place['level'])}" * several
-
-
-def _fit_models(single: DataFrame) -> tuple[Models, list[str]]:
-    """Fit the rater model to each scale and level, hidden references and anchors included."""
-    models: Models = []
-    notes: list[str] = []
-    for scale, level, rows in parts.split_arms(single):
-        lead = f"{scale}, {level}, rater model"
-        try:
-            model = rater_model(rows)
-        except ValueError as error:
-            notes.append(f"{lead}: none. {error}")
-            continue
-        models.append(({"scale": scale, "level": level}, model))
-        notes += [f"{lead}: {note}" for note in model.notes]
-    return models, notes
+    frame = concat(model.to_frame().assign(series=part.subject) for part, model in models)
+    half = NORMAL * frame["inconsistency_se"]
+    frame = frame.assign(low=frame["inconsistency"] - half, high=frame["inconsistency"] + half)
+    frame["name"] = frame["participant"].astype(str)
+    frame = frame.assign(filled=frame["name"].isin(flagged)).sort_values("name", kind="stable")
+    label, columns = "Inconsistency (points)", "inconsistency low high"
+    return kinds.draw_estimates(frame, label, columns=columns, series="series")
 
 
 def list_flagged(screening: Screening, group: str) -> list[Hashable]:
     """List whom a group leaves out."""
-    standard = [
-        rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")
-    ]
-    rules: Iterable[str] = {EVERYONE: [], STANDARD: standard}.get(group, list(screening.rules))
-    return sorted({who for rule in rules for who in screening.hits[rule]}, key=str)
+    chosen = {
+        EVERYONE: [], ANY: screening.rules,
+        STANDARD: [rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")],
+    }[group]  # fmt: skip
+    return sorted({who for rule in chosen for who in screening.hits[rule]}, key=str)
 
 
 def describe_flagged(screening: Screening) -> Row:
     """Count the flagged raters, and those flagged by rules of BS.1534-3; applied: whether these apply."""
     own = [rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")]
     shares = screening.table.loc[screening.table["rule"].isin(own), "share"]
-    standard, whole = (len(list_flagged(screening, group)) for group in (STANDARD, ANY))
-    n = screening.table["participant"].nunique()
     return {
-        "flagged": whole,
-        "by_standard": standard,
-        "n_raters": n,
-        "applied": bool(shares.notna().any()),
-    }
+        "flagged": len(list_flagged(screening, ANY)), "by_standard": len(list_flagged(screening, STANDARD)),
+        "n_raters": screening.table["participant"].nunique(), "applied": bool(shares.notna().any()),
+    }  # fmt: skip
 
 
-def _list_rules(screening: Screening) -> Iterator[Row]:
-    everyone = screening.table["participant"].nunique()
+def _list_screening(screening: Screening) -> dict[str, list[Row]]:
+    everyone, rules = screening.table["participant"].nunique(), []
     for rule, hits in screening.hits.items():
         known = screening.known[rule]
         share = screening.table.loc[screening.table["rule"] == rule, "share"]
         texts = {
             "source": known.source, "protocols": ", ".join(map(format_name, known.protocols)) or "all",
-            "flagged": ", ".join(map(str, hits)) or "–",
+            "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()),
         }  # fmt: skip
-        yield from (
-            make_row(name, note=text, rule=rule, n=len(share)) for name, text in texts.items()
-        )
-        yield make_row("n_judged", int(share.notna().sum()), rule=rule, n=len(share))
+        rules += list_rows([texts], list(texts), rule=rule, n=len(share))
     for group in GROUPS:
-        yield make_row("n_flagged", len(list_flagged(screening, group)), n=everyone, panel=group)
-
-
-def _list_agreements(screening: Screening) -> Iterator[Row]:
-    for row in screening.panel.to_dict("records"):
-        panel = GROUPS[ANY if row["panel"] == "without hits" else EVERYONE]
-        keys: Row = {"scale": row["scale"], "panel": panel, "n": row["n_items"]}
-        yield from count_rows(
-            {key: row[key] for key in (*AGREEMENT, "n_participants", "n_complete")}, **keys
-        )
-
-
-def _list_slope(row: Mapping[str, Any], step: float) -> Iterator[Row]:
-    keys: Row = {key: row[key] for key in ("scale", "level", "metric")} | {
-        "panel": GROUPS[row["panel"]],
-        "n": row["n_people"],
+        n_flagged = len(list_flagged(screening, group))
+        rules.append(make_row("n_flagged", n_flagged, n=everyone, panel=group))
+    names = {"without hits": GROUPS[ANY], "everyone": GROUPS[EVERYONE]}
+    panel = screening.panel.assign(panel=screening.panel["panel"].map(names))
+    keys = {"scale": "scale", "panel": "panel", "n": "n_items"}
+    each = {"share": "share", "limit": "limit", "count": "count", "flagged": "hit"}
+    expertise = {"expertise": "value - - p", "floor": "floor"}
+    shapes = ("multimodality", "outliers", "low_fence", "high_fence")
+    return {
+        "screening_rules": rules,
+        "reliability": list_rows(panel, AGREEMENT, keys),
+        "screening": list_rows(screening.table, each, ["rule", "participant", "n"]),
+        "expertise": list_rows(screening.gauge, expertise, ["participant", "measure"]),
+        "shapes": list_rows(screening.items, shapes, {"stimulus": "item", "n": "n"}),
     }
-    ends = {
-        end or "value": row[f"tenth{end and '_'}{end}"] * step / 0.1 for end in ("", "low", "high")
-    }
-    yield make_row("slope", **ends, p=row["p"], interval=SATTERTHWAITE, note=row["reason"], **keys)
-    yield make_row("verdict", note=row["verdict"].replace("_", " "), **keys)
-    yield make_row("n_participants", row["n_people"], **keys)
 
 
-def _list_raters(place: Place, model: RaterModel) -> Iterator[Row]:
-    for row in model.to_frame().to_dict("records"):
-        keys: Row = {**place, "participant": row["participant"], "n": row["n"]}
+def _list_models(models: Models) -> dict[str, list[Row]]:
+    rows: dict[str, list[Row]] = {"rater_model": [], "rater_model_fit": [], "stimuli_of_raters": []}
+    each = {f"{name}": f"{name} {name}_low {name}_high" for name in ("bias", "inconsistency")}
+    each |= {"weight": "weight", "n_ratings": "n", "apart": "apart"}
+    for part, model in models:
+        frame = model.to_frame()
         for name in ("bias", "inconsistency"):
-            half = NORMAL * row[f"{name}_se"]
-            ends = {
-                "low": row[name] - half,
-                "high": row[name] + half,
-                "interval": "95 % normal interval",
-            }
-            yield make_row(name, row[name], **ends, **keys)
-        yield make_row("weight", row["weight"], **keys)
-        yield make_row("n_ratings", row["n"], **keys)
-        yield make_row("apart", note="yes" if row["apart"] else "no", **keys)
-
-
-def _list_screened(screening: Screening) -> Iterator[Row]:
-    for row in screening.table.to_dict("records"):
-        keys: Row = {"rule": row["rule"], "participant": row["participant"], "n": row["n"]}
-        yield from count_rows({name: row[name] for name in ("share", "limit", "count")}, **keys)
-        yield make_row("flagged", note="yes" if row["hit"] else "no", **keys)
-
-
-def _list_expertise(row: Mapping[Any, Any]) -> Iterator[Row]:
-    keys: Row = {"participant": row["participant"], "measure": row["measure"]}
-    yield make_row("expertise", row["value"], p=row["p"], **keys)
-    yield make_row("floor", row["floor"], **keys)
-
-
-def _list_stimuli(models: Models, screening: Screening) -> Iterator[Row]:
-    for place, model in models:
-        for row in model.stimuli.reset_index().to_dict("records"):
-            keys: Row = {**place, "stimulus": row["stimulus_id"], "n": row["n"]}
-            names = {"quality": "quality", "quality_se": "se", "quality_se_raters": "se_raters"}
-            yield from count_rows({name: row[key] for name, key in names.items()}, **keys)
-    for row in screening.items.to_dict("records"):
-        keys = {"scale": "", "level": "", "stimulus": str(row["item"]), "n": row["n"]}
-        yield from count_rows(
-            {name: row[name] for name in ("multimodality", "outliers", "low_fence", "high_fence")},
-            **keys,
-        )
-
-
-def _list_excerpts(screening: Screening) -> Iterator[Row]:
-    for row in screening.excerpts.reset_index(drop=True).to_dict("records"):
-        keys: Row = {name: str(row.get(name, "")) for name in ("scale", "level", "recording")}
-        yield make_row("mid_above_90", row["mid_above_90"], **keys)
-        yield make_row("counts", note="yes" if row["counts"] else "no", **keys)
+            half = NORMAL * frame[f"{name}_se"]
+            ends = {f"{name}_low": frame[name] - half, f"{name}_high": frame[name] + half}
+            frame = frame.assign(**ends)
+        own = {"interval": "95 % normal interval", **part.keys}
+        rows["rater_model"] += list_rows(frame, each, ["participant", "n"], **own)
+        sizes = [{name: getattr(model, name) for name in FIT}]
+        rows["rater_model_fit"] += list_rows(sizes, FIT, n=model.n_ratings, **part.keys)
+        quality = {"quality": "quality", "quality_se": "se", "quality_se_raters": "se_raters"}
+        stimuli = model.stimuli.reset_index()
+        keys = {"stimulus": "stimulus_id", "n": "n"}
+        rows["stimuli_of_raters"] += list_rows(stimuli, quality, keys, **part.keys)
+    return rows
 
 
 def _list_repeats(table: Table) -> Iterator[Row]:
-    for part in parts.split_parts(table):
-        sd, n = _find_repeat_sd(part.rows)
-        if n:
+    """Give the pooled standard deviation of a rater's repeated ratings of a stimulus."""
+    for part in split_tests(table):
+        cells = part.rows.groupby(["participant", "item"], observed=True)["rating"]
+        repeated = cells.transform("size") > 1
+        if n := int(repeated.sum()):
+            groups = part.rows[repeated].groupby(["participant", "item"], observed=True)
+            left = (part.rows["rating"] - cells.transform("mean"))[repeated]
+            sd = float(np.sqrt((left**2).sum() / (n - len(groups))))
             yield make_row("sd", sd, n=n, **part.keys)
 
 
-def _find_repeat_sd(rows: DataFrame) -> tuple[float, int]:
-    """Find the standard deviation of a rater's repeated ratings (NaN without repeats), and how many are repeated."""
-    cells = rows.groupby(["participant", "item"], observed=True)["rating"]
-    repeated = cells.transform("size") > 1
-    n = int(repeated.sum())
-    freedom = n - len(rows[repeated].groupby(["participant", "item"], observed=True))
-    left = (rows["rating"] - cells.transform("mean"))[repeated]
-    return (float(np.sqrt((left**2).sum() / freedom)) if freedom else float("nan")), n
+def _list_slopes(table: Table, slopes: Sequence[Row]) -> list[Row]:
+    steps, records = parts.find_table_steps(table), []
+    for row in slopes:
+        share = steps[row["metric"]].size / 0.1
+        scaled = {name: row[name] * share for name in ("tenth", "tenth_low", "tenth_high")}
+        told = {"panel": GROUPS[row["panel"]], "verdict": row["verdict"].replace("_", " ")}
+        records.append(row | scaled | told)
+    keys = {key: key for key in ("scale", "level", "metric", "panel")} | {"n": "n_people"}
+    quantities = {"slope": "tenth tenth_low tenth_high p"}
+    rows = list_rows(records, quantities, keys | {"note": "reason"}, interval=SATTERTHWAITE)
+    return rows + list_rows(records, {"verdict": "verdict", "n_participants": "n_people"}, keys)
 
 
 # The primary slopes without flagged raters.
@@ -257,28 +208,23 @@ def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[Row]
         for group in GROUPS:
             out = tuple(list_flagged(screening, group))
             if out not in fitted:
-                fitted[out] = list(_fit(part, out, table.metrics))
+                fitted[out] = _fit(part, out, table.metrics)
             yield from ({**row, "panel": group, **part.keys} for row in fitted[out])
 
 
-def _fit(
-    part: parts.RatingsPart, out: tuple[Hashable, ...], metrics: tuple[str, ...]
-) -> Iterator[Row]:
-    n_people = part.rows.loc[~part.rows["participant"].isin(out), "participant"].nunique()
+def _fit(part: Part, out: Sequence[Hashable], metrics: Sequence[str]) -> list[Row]:
+    left = part.rows.loc[~part.rows["participant"].isin(out), "participant"].nunique()
+    own: Row = {"n_people": left, "reason": ""}
     try:
-        rest = make_cells(part.rows, metrics).leave_out(parts.WHO, *out)
-        if rest.count(parts.WHO) == 1 < part.rows[parts.WHO].nunique():
-            raise ValueError(ALONE)  # noqa: TRY301 - a reason like those of the model
-        slopes = fit_slopes(rest).table
+        rest = make_cells(part.rows, metrics).leave_out("participant", *out)
+        if rest.count("participant") == 1 < part.rows["participant"].nunique():
+            why = "One rater is left: an interval would not know how people differ."
+            raise ValueError(why)  # noqa: TRY301 - a reason like those of the model
+        slopes = fit_slopes(rest).table.reset_index().to_dict("records")
     except ValueError as error:
-        empty = dict.fromkeys(("tenth", "tenth_low", "tenth_high", "p"), float("nan"))
-        yield from (
-            {**empty, "metric": name, "n_people": n_people, "reason": str(error)}
-            for name in metrics
-        )
-        return
-    for row in slopes.reset_index().to_dict("records"):
-        yield {str(key): value for key, value in row.items()} | {"n_people": n_people, "reason": ""}
+        own |= dict.fromkeys(("tenth", "tenth_low", "tenth_high", "p"), np.nan)
+        return [own | {"metric": name, "reason": str(error)} for name in metrics]
+    return [row | own for row in slopes]
 
 
 def conclude_panels(slopes: Sequence[Row]) -> list[Row]:
@@ -291,15 +237,12 @@ def conclude_panels(slopes: Sequence[Row]) -> list[Row]:
     return rows
 
 
-# Facts for the words.
-
-
-def _describe_model(place: Place, model: RaterModel, *, several: bool) -> Row:
+def _describe_model(part: Part, model: RaterModel) -> Row:
     """Find who rates high or low, and whether somebody's ratings are unlike all others in consistency."""
-    from scipy.stats import norm
+    from scipy.special import ndtri
 
     rows = model.to_frame().sort_values("bias").to_dict("records")
-    limit = float(norm.isf(parts.SIGNIFICANCE / 2 / len(rows)))
+    limit = -float(ndtri(parts.SIGNIFICANCE / 2 / len(rows)))
     biased = [
         {"participant": row["participant"], "bias": row["bias"]}
         for row in (rows[-1], rows[0])
@@ -308,9 +251,66 @@ def _describe_model(place: Place, model: RaterModel, *, several: bool) -> Row:
     spread = model.raters["inconsistency"]
     rest, apart = spread[~model.raters["apart"]], spread[model.raters["apart"]]
     return {
-        "scale": place["scale"], "level": place["level"] * several, "biased": biased, "apart": list(model.apart),
+        "scale": part.scale, "level": part.level * part.several, "biased": biased, "apart": list(model.apart),
         "range": [rest.min(), rest.max()], "apart_range": [apart.min(), apart.max()] if len(apart) else [],
     }  # fmt: skip
 
 
-SECTION = Section(KEY, "Raters", "trust", compute)
+# The vibration that was delivered to the hand, beside what was intended.
+
+SUFFIX, UNKNOWN = "_delivered", "unknown"
+LEVELS = ("n_judgements", "median", "q05", "q95", "largest")
+MATCHED = ("n_stimuli", "intended", "delivered", "difference", "largest", "stimulus")
+
+
+def compute_delivered(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
+    """Compare the metrics of what was delivered with those intended, and describe the level errors."""
+    rows = table.rows[table.rows["role"] == "test"]
+    names = [name for name in MATCHES if name in rows and name + SUFFIX in rows]
+    errors = rows[rows[ERROR].notna()] if ERROR in rows else rows[:0]
+    if not names and errors.empty:
+        return Found()
+    items = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")
+    matched = [_compare(items, name) for name in names]
+    source = errors.get(SOURCE, errors["role"].mask(errors["role"] != "", ""))
+    levels = [
+        _describe_levels(part, str(name))
+        for name, part in errors.groupby(source.replace("", UNKNOWN), observed=True)
+    ]
+    listed = {
+        "delivered": list_rows(matched, MATCHED, {"metric": "metric", "n": "n_stimuli"}),
+        "level_errors": list_rows(levels, LEVELS, {"source": "source", "n": "n_judgements"}),
+    }
+    caption = (
+        "What was delivered against what was intended: match metrics of each test stimulus (on the line: as intended), "
+        "and level errors of all judgements of test stimuli."
+    )
+    columns = ["reducer", *names, *(name + SUFFIX for name in names)]
+    values = errors[ERROR].to_numpy(np.float64) if levels else np.zeros(0)
+    draw = partial(kinds.draw_delivered, items[columns], names, values)
+    facts = {"levels": levels, "matched": matched, "n": len(rows)}
+    return Found(listed, facts, [Picture("delivered", caption, draw)])
+
+
+def _compare(items: DataFrame, name: str) -> Mapping[str, Any]:
+    intended, delivered = (items[column].to_numpy(np.float64) for column in (name, name + SUFFIX))
+    difference = delivered - intended
+    largest = int(np.argmax(np.abs(difference)))
+    return {
+        "metric": name, "n_stimuli": len(items), "intended": intended.mean(), "delivered": delivered.mean(),
+        "difference": difference.mean(), "largest": difference[largest], "stimulus": str(items.index[largest]),
+    }  # fmt: skip
+
+
+def _describe_levels(part: DataFrame, source: str) -> Mapping[str, Any]:
+    values = part[ERROR].to_numpy(np.float64)
+    low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
+    largest = values[int(np.argmax(np.abs(values)))]
+    ends = {"median": middle, "q05": low, "q95": high, "largest": largest}
+    return {"source": source, "n_judgements": len(values), **ends}
+
+
+SECTIONS = (
+    Section("delivered", "Delivered vibration", "trust", compute_delivered),
+    Section("raters", "Raters", "trust", compute),
+)

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
-from feel321.analysis.report.section import name_ratings
-from feel321.analysis.words import CONFIRMATORY, EXPLORATORY, format_name
+from feel321.analysis.words import CONFIRMATORY, EXPLORATORY, format_level, format_name
 
 MODEL: Mapping[str, Any] = {
     "model": (
@@ -38,9 +37,7 @@ MODEL: Mapping[str, Any] = {
 TESTED = frozenset({"slope", "slope_quartile", "df"})
 """Quantities of a slope that are the declared test; the others are sensitivity analyses."""
 
-UNDECLARED = (
-    "No hypotheses were frozen before the data, so all results are exploratory (feel321 freeze)."
-)
+COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,9 +57,10 @@ class Hypothesis:
     def __str__(self) -> str:
         """Write it in plain words."""
         way = "higher" if self.higher == "better" else "lower"
+        ratings = f"{format_name(self.scale)} ratings{format_level(self.level)}"
         return (
-            f"Among the stimuli of one recording, those with a higher {format_name(self.metric)} get {way} "
-            f"{name_ratings(self.scale, self.level)}, at equal values of the other metrics."
+            f"Among the stimuli of one recording, those with a higher {format_name(self.metric)} get {way} {ratings}, "
+            "at equal values of the other metrics."
         )
 
 
@@ -93,7 +91,7 @@ class Standing:
     'none'
     """
 
-    sentence: str = UNDECLARED
+    sentence: str = "No hypotheses were frozen before the data, so all results are exploratory (feel321 freeze)."
     state: str = "none"
     hypotheses: tuple[Hypothesis, ...] = ()
     reason: str = "no hypotheses were frozen before the data"
@@ -147,11 +145,9 @@ class Standing:
         dict
             The fields, with hypotheses in words.
         """
-        named = ("sentence", "state", "reason", "frozen_utc", "sha256")
-        return {
-            **{name: getattr(self, name) for name in named},
-            "changes": list(self.changes), "hypotheses": [str(one) for one in self.hypotheses],
-        }  # fmt: skip
+        named = ("sentence", "state", "reason", "frozen_utc", "sha256", "changes")
+        told = {"hypotheses": [str(one) for one in self.hypotheses]}
+        return {name: getattr(self, name) for name in named} | told
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,9 +176,6 @@ class About:
     date: str = ""
     protocols: tuple[str, ...] = ()
     standing: Standing = Standing()
-
-
-COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
 
 
 def list_versions() -> dict[str, str]:

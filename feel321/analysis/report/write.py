@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,37 +15,17 @@ from feel321.analysis import words
 from feel321.analysis.association.correlate import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template, render_words
-from feel321.analysis.report import (
-    answer,
-    choices,
-    correlations,
-    delivered,
-    pairs,
-    primary,
-    raters,
-    reducers,
-    rivals,
-    robustness,
-)
+from feel321.analysis.report import answer, correlations, pairs, primary, raters, reducers
 from feel321.analysis.report import paper as papers
+from feel321.analysis.report import section as parts
 from feel321.analysis.report.folder import DETAILS, PAGE, ResultsFolder, list_files
-from feel321.analysis.report.section import (
-    FIXED,
-    Found,
-    Picture,
-    Row,
-    Section,
-    count_rows,
-    describe_tables,
-    name_pictures,
-    show_tables,
-)
+from feel321.analysis.report.section import FIXED, Found, Row, Section
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
-from feel321.analysis.screening.rules import RULES, find_rules
-from feel321.analysis.table.items import find_sources, format_recordings
-from feel321.analysis.table.reading import Further, Table, find_tables, read_table
-from feel321.analysis.table.roster import ROSTER_FILE
+from feel321.analysis.screening.rules import RULES
+from feel321.analysis.screening.screen import find_rules
+from feel321.analysis.table.items import Table, find_sources, format_recordings
+from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import RECAST
 from feel321.doors import announce, as_seed, follow
 from feel321.records import Result, to_json_value
@@ -71,12 +51,15 @@ QUESTIONS: Mapping[str, str] = {
 }
 """Anchor of each question -> how it is put; sections name the one that they answer."""
 
-SECTIONS: tuple[Section, ...] = (
-    primary.SECTION, rivals.SECTION, correlations.SECTION, reducers.LEVELLED, reducers.PROFILES, reducers.CONTRASTS,
-    choices.SECTION, pairs.DISCRIMINATION, pairs.TOLD_APART, pairs.SPACE, pairs.MAPS, correlations.FURTHER,
-    delivered.SECTION, raters.SECTION, robustness.SECTION, correlations.STANDARD,
-)  # fmt: skip
-"""The one list of a report's sections."""
+SECTIONS: tuple[Section, ...] = tuple(
+    sorted(
+        chain.from_iterable(
+            one.SECTIONS for one in (primary, correlations, reducers, pairs, raters)
+        ),
+        key=lambda section: list(QUESTIONS).index(section.question),
+    )
+)
+"""The one list of a report's sections: a module lists its own, and each names its question."""
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -166,28 +149,23 @@ class Results(Result):
         dict
             A number that is not defined is None; a row has only the keys that its table has.
         """
-        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        for name in ("path", "numbers", "standing"):
-            del fields[name]
-        tables = (
-            part.dropna(axis=1, how="all") for _, part in self.numbers.groupby("table", sort=False)
-        )
-        frames = (part.reindex(columns=["table", *_order_columns(part)]) for part in tables)
-        rows = [row for frame in frames for row in frame.to_dict("records")]
-        known = {
-            "schema_version": SCHEMA_VERSION,
-            "standing": self.standing.to_dict(),
-            **fields,
-            "numbers": rows,
-        }
-        content: dict[str, Any] = to_json_value(known)
+        told = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        del told["path"]
+        rows = [
+            row
+            for _, part in told.pop("numbers").groupby("table", sort=False)
+            for row in _tidy(part, ["table"]).to_dict("records")
+        ]
+        told |= {"standing": self.standing.to_dict(), "numbers": rows}
+        content: dict[str, Any] = to_json_value({"schema_version": SCHEMA_VERSION, **told})
         return content
 
 
-def _order_columns(frame: DataFrame) -> list[str]:
-    """Put quantity first, then the keys, then the number."""
-    keys = [str(name) for name in frame if name not in {"table", "status", *FIXED}]
-    return ["quantity", *keys, *FIXED[1:], "status"]
+def _tidy(part: DataFrame, lead: Sequence[str] = ()) -> DataFrame:
+    """Keep the columns that a table has: quantity first, then its keys, then the number."""
+    apart = {"table", "status", *FIXED}
+    keys = [str(name) for name in part if name not in apart and part[name].notna().any()]
+    return part[[*lead, "quantity", *keys, *FIXED[1:], "status"]]
 
 
 # What decides a report.
@@ -206,30 +184,29 @@ def describe_inputs(
     told: dict[str, str] = {}
     for role, source in given.items():
         if not isinstance(source, Path):
-            told |= {role: IN_MEMORY, f"{role}_sha256": _digest_rows(source)}
+            told |= {role: IN_MEMORY, f"{role}_sha256": _digest(source)}
         elif source.is_file() or role != "participants":
-            told |= {role: source.name, f"{role}_sha256": _digest(source.read_bytes())}
+            told |= {role: source.name, f"{role}_sha256": _digest(source)}
     found = find_sources(table.rows)
     if not found.is_unique:
         told["sources"] = format_recordings(len(found), found.nunique())
-        told["sources_sha256"] = _digest(json.dumps(found.to_dict(), sort_keys=True).encode())
+        told["sources_sha256"] = _digest(found.to_frame())
     if further is not None and not further.metrics.empty:
         told["further_metrics"] = ", ".join(map(str, further.metrics))
-        told["further_metrics_sha256"] = _digest_rows(further.metrics.sort_index(), index=True)
-    told["metrics"] = ", ".join(table.metrics)
+        told["further_metrics_sha256"] = _digest(further.metrics.sort_index())
     margin = "none" if choices.margin is None else str(choices.margin)
-    told |= {"draws": str(choices.draws), "margin": margin, "seed": str(choices.seed)}
+    told |= {"metrics": ", ".join(table.metrics), "draws": str(choices.draws), "margin": margin}
+    told |= {"seed": str(choices.seed)}
     for rule in choices.rules:
         told |= {f"rule_{rule.name}": rule.place, f"rule_{rule.name}_sha256": rule.sha256}
     return told
 
 
-def _digest_rows(rows: DataFrame, *, index: bool = False) -> str:
-    return _digest(rows.to_csv(index=index, float_format="%.17g", lineterminator="\n").encode())
-
-
-def _digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
+def _digest(source: Path | DataFrame) -> str:
+    if isinstance(source, Path):
+        return hashlib.sha256(source.read_bytes()).hexdigest()
+    text = source.to_csv(float_format="%.17g", lineterminator="\n")
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
@@ -373,8 +350,7 @@ def _compute(table: Table, chosen: Choices, move: Callable[[int, int], None]) ->
     with threadpool_limits(limits=1, user_api="blas"):
         for number, section in enumerate(SECTIONS, start=1):
             announce(section.title.lower())
-            own = section.compute(table, chosen)
-            found[section.key] = replace(own, pictures=tuple(name_pictures(own.pictures)))
+            found[section.key] = section.compute(table, chosen)
             move(number, len(SECTIONS))
     if "metrics" in found:
         panels = found["metrics"].facts.get("panels", ())
@@ -386,47 +362,43 @@ def _compute(table: Table, chosen: Choices, move: Callable[[int, int], None]) ->
 
 
 def gather_results(
-    table: Table,
-    sections: Sequence[Section],
-    found: Mapping[str, Found],
-    *,
-    inputs: Mapping[str, str],
-    about: About,
+    table: Table, sections: Sequence[Section], found: Mapping[str, Found], *, inputs: Mapping[str, str], about: About,
     choices: Choices,
-) -> Results:
+) -> Results:  # fmt: skip
     """Gather what ``results.json`` holds."""
     standing, shown = about.standing, [one for one in sections if not found[one.key].is_empty]
-    verdicts = [_mark(one, standing) for own in found.values() for one in own.verdicts]
-    cards = [_mark(card, standing) for card in answer.make_cards(found)]
-    clauses = answer.list_clauses(cards, found)
+
+    def mark(one: Row) -> Row:
+        status, reason = standing.judge(*(one[key] for key in answer.PLACE))
+        return {**one, "status": status, "reason": reason}
+
+    cards = [mark(card) for card in answer.make_cards(found)]
     answers = {one.key: render_words(one.key, **found[one.key].facts) for one in shown}
-    first = next(
-        (lines[0] for lines in answers.values() if lines),
-        "These ratings do not answer the question.",
-    )
-    headline = render_words("headline", clauses=clauses)[0] if clauses else first
-    pictures = _list_pictures(found.values())
+    first = [lines[0] for lines in answers.values() if lines]
+    headline = (*first, "These ratings do not answer the question.")[0]
+    if clauses := answer.list_clauses(cards, found):
+        (headline,) = render_words("headline", clauses=clauses)
+    pictures = [picture for one in found.values() for picture in one.pictures]
     frame = make_frame(table, found, standing)
-    forms = {
-        form.name: form.caption
-        for one in shown
-        for form in one.tables
-        if found[one.key].rows.get(form.name)
-    }
-    pages = (PAGE, DETAILS)
+    how: list[str] = []
+    for one in shown:
+        how += render_words(one.key, "how", draws=choices.draws)
     return Results(
         headline=headline,
-        verdicts=tuple(verdicts),
+        verdicts=tuple(mark(one) for own in found.values() for one in own.verdicts),
         cards=tuple(cards),
         numbers=frame,
         answers=answers,
         figures={picture.name: picture.caption for picture in pictures},
-        captions=forms,
+        captions={
+            form.name: form.caption
+            for one in shown
+            for form in one.tables
+            if found[one.key].rows.get(form.name)
+        },
         notes=tuple(_gather_notes(table, found)),
-        how=tuple(
-            line for one in shown for line in render_words(one.key, "how", draws=choices.draws)
-        ),
-        files=list_files([one.name for one in pictures], frame["table"].unique(), pages),
+        how=tuple(how),
+        files=list_files([one.name for one in pictures], frame["table"].unique(), (PAGE, DETAILS)),
         simulated=bool(table.rows["simulated"].any()),
         inputs=inputs,
         versions=list_versions(),
@@ -435,20 +407,11 @@ def gather_results(
     )
 
 
-def _mark(one: Row, standing: Standing) -> Row:
-    status, reason = standing.judge(one["scale"], one["level"], one["metric"])
-    return {**one, "status": status, "reason": reason}
-
-
-def _list_pictures(found: Iterable[Found]) -> list[Picture]:
-    return [picture for one in found for picture in one.pictures]
-
-
 def make_frame(table: Table, found: Mapping[str, Found], standing: Standing) -> DataFrame:
     """Make the frame: every number of the report, one row each."""
     import pandas as pd
 
-    tables = {"sizes": _count_table(table)}
+    tables = {"sizes": count_table(table)}
     for one in found.values():
         tables |= {name: list(rows) for name, rows in one.rows.items() if rows}
     rows = [
@@ -456,56 +419,37 @@ def make_frame(table: Table, found: Mapping[str, Found], standing: Standing) -> 
         for name, own in tables.items()
         for row in own
     ]
-    frame = pd.DataFrame(rows)
-    keys = [name for name in _order_columns(frame) if name not in {*FIXED[1:], "status"}]
-    if len(twice := frame[frame.duplicated(["table", *keys])]):
+    frame = _tidy(pd.DataFrame(rows), ["table"])
+    keys = [name for name in frame if name not in {*FIXED[1:], "status"}]
+    if len(twice := frame[frame.duplicated(keys)]):
         raise ValueError(
             f"results: {len(twice)} rows have the same keys, first {twice.iloc[0].dropna().to_dict()}"
         )
-    return frame[["table", *_order_columns(frame)]]
+    return frame
 
 
-def _count_table(table: Table) -> list[Row]:
-    rows = table.rows
-    columns = {
-        "participants": "participant",
-        "recordings": "recording",
-        "stimuli": "stimulus_id",
-        "reducers": "reducer",
-        "scales": "scale",
-    }
-    sizes = {f"n_{name}": rows[column].nunique() for name, column in columns.items()}
+def count_table(table: Table) -> list[Row]:
+    """Count what was rated, by whom."""
+    rows, columns = table.rows, ("participant", "recording", "stimulus_id", "reducer", "scale")
+    names = ("n_participants", "n_recordings", "n_stimuli", "n_reducers", "n_scales")
+    sizes = {name: rows[column].nunique() for name, column in zip(names, columns, strict=True)}
     sizes |= {"n_sources": find_sources(rows).nunique(), "n_judgements": len(rows)}
-    return count_rows(sizes | {"n_simulated": int(rows["simulated"].sum())}, n=len(rows))
+    return parts.count_rows(sizes | {"n_simulated": int(rows["simulated"].sum())}, n=len(rows))
 
 
 def _gather_notes(table: Table, found: Mapping[str, Found]) -> Iterator[str]:
     """List what was left out or assumed: names in words, and what several ratings share said once."""
     rows = table.rows
-    names = [
-        *rows["scale"].unique(),
-        RECAST,
-        *rows["level"].unique(),
-        *table.metrics,
-        *table.further,
-        *table.rivals,
-    ]
-    arms = {
-        f"{scale}, {level}"
-        for scale, level in rows[["scale", "level"]].drop_duplicates().itertuples(index=False)
-    }
+    scales, levels = rows["scale"].unique(), rows["level"].unique()
+    names = [*scales, RECAST, *levels, *table.metrics, *table.further, *table.rivals, *RULES]
+    arms = sorted({f"{scale}, {level}" for scale in scales for level in levels})
     told: dict[str, list[str]] = {}
-    for note in dict.fromkeys((
-        *table.notes,
-        *(note for one in found.values() for note in one.notes),
-    )):
-        lead = next((arm for arm in sorted(arms) if re.match(rf"{re.escape(arm)}[,:; ]", note)), "")
+    notes = chain(table.notes, *(one.notes for one in found.values()))
+    for note in dict.fromkeys(notes):
+        lead = next((arm for arm in arms if re.match(rf"{re.escape(arm)}[,:; ]", note)), "")
         told.setdefault(note[len(lead) :], []).append(lead)
     for rest, leads in told.items():
-        if len(leads) == 1:
-            yield words.format_note(leads[0] + rest, [*names, *RULES])
-        else:
-            yield words.format_note(f"{'; '.join(leads)}{rest}", [*names, *RULES])
+        yield words.format_note("; ".join(leads) + rest, names)
     shown = [name for key in ("scale", "level", "reducer") for name in rows[key].unique()]
     if letters := list_undrawable(shown):
         yield f"The figures' font has no {' '.join(letters)}: boxes stand for them; captions and tables show them."
@@ -515,58 +459,39 @@ def _gather_notes(table: Table, found: Mapping[str, Found]) -> Iterator[str]:
 
 
 def _write(
-    table: Table,
-    results: Results,
-    *,
-    sections: Sequence[Section],
-    found: Mapping[str, Found],
-    target: ResultsFolder,
-) -> None:
+    table: Table, results: Results, *, sections: Sequence[Section], found: Mapping[str, Found], target: ResultsFolder,
+) -> None:  # fmt: skip
     """Draw the figures, and write pages, tables and ``results.json``."""
-    target.draw(_list_pictures(found.values()))
-    blocks = []
-    for key, title in QUESTIONS.items():
-        own = [one for one in sections if one.question == key and one.key in results.answers]
-        shown = [_show(one, results, found[one.key]) for one in own]
-        blocks.append({"key": key, "title": title, "sections": shown})
-    sizes = {row["quantity"]: row["value"] for row in _count_table(table)}
+    target.draw(picture for one in found.values() for picture in one.pictures)
+    shown = [_show(one, results, found[one.key]) for one in sections if one.key in results.answers]
+    blocks = [
+        {"key": key, "title": title, "sections": [one for one in shown if one["question"] == key]}
+        for key, title in QUESTIONS.items()
+    ]
+    fronts = [block for block in blocks if block["sections"] and block["key"] != "computed"]
     lead = next((one for one in found.get("metrics", Found()).pictures if not one.detail), None)
     told = [text for one in found.values() for text in one.clauses]
+    sizes = {row["quantity"]: row["value"] for row in count_table(table)}
     common: dict[str, Any] = {"results": results, "sizes": sizes, "title": TITLE}
     frames = {str(name): _tidy(part) for name, part in results.numbers.groupby("table", sort=False)}
-
-    def render_page(drawings: Mapping[str, Any]) -> str:
-        blocks_here = [
-            block for block in blocks if block["sections"] and block["key"] != "computed"
-        ]
-        return render_template(
-            "report.html", blocks=blocks_here, drawings=drawings, lead=lead, others=told, **common
-        )
-
     target.write(
         results.to_dict(),
-        page=render_page,
-        details=lambda: render_template("details.html", blocks=blocks, **common),
-        tables=frames,
-        dictionary=describe_tables(sections, frames),
+        page=lambda drawings: render_template(
+            "report.html", blocks=fronts, drawings=drawings, lead=lead, others=told, **common
+        ),
+        details=render_template("details.html", blocks=blocks, **common),
+        tables=frames | {"dictionary": parts.describe_tables(sections, frames)},
     )
-
-
-def _tidy(part: DataFrame) -> DataFrame:
-    """Keep the columns that a table has."""
-    keys = [
-        name
-        for name in part
-        if name not in {"table", "status", *FIXED} and part[name].notna().any()
-    ]
-    return part[["quantity", *keys, *FIXED[1:], "status"]]
 
 
 def _show(section: Section, results: Results, found: Found) -> dict[str, Any]:
     """Gather what the pages show of a section."""
     verdicts = results.verdicts if found.verdicts else ()
     return {
-        "key": section.key, "title": section.title, "lines": results.answers[section.key], "pictures": found.pictures,
-        "tables": list(show_tables(section, found)), "front": section.front,
+        "key": section.key, "title": section.title, "question": section.question, "front": section.front,
+        "lines": results.answers[section.key], "pictures": found.pictures,
+        "tables": [
+            parts.show_table(form, found.rows[form.name]) for form in section.tables if found.rows.get(form.name)
+        ],
         "confirmatory": sum(one["status"] == words.CONFIRMATORY for one in verdicts),
     }  # fmt: skip

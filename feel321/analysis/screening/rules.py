@@ -1,6 +1,8 @@
 """RULES: the one list of screening rules, with the source and the limit of each; and the measures behind them.
 
-Rules without a standard as their source are extensions, with limits by convention.
+Rules without a standard as their source are extensions, with limits by convention. Expertise (discrimination,
+reliability, agreement) is judged against a permutation null, in the manner of Report ITU-R BS.2300; the measures are
+defined here, because the data need not be balanced.
 
 References
 ----------
@@ -9,31 +11,32 @@ References
    2013, 700. doi:10.3389/fpsyg.2013.00700
 .. [3] Recommendation ITU-R BS.1534-3 (2015), Method for the subjective assessment of intermediate quality level of
    audio systems, on post-screening of assessors.
+.. [4] Lorho, Le Ray & Zacharov (2010), eGauge: a measure of assessor expertise in audio quality evaluations, AES 38th
+   International Conference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from feel321.analysis.arrays import FLAT, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS
-from feel321.analysis.screening.judgements import FLOOR, SAME_POINTS, Judgements
-from feel321.analysis.table.schema import HIGHEST
-from feel321.doors import check_name, describe
-from feel321.extensions import Method, call, find_method
+from feel321.analysis.table.schema import HIGHEST, LOWEST, NAMING
+from feel321.doors import check_name
+from feel321.protocols.tasks import PROTOCOLS
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from numpy.typing import ArrayLike, NDArray
+    from pandas import DataFrame, Index, Series
 
-    from numpy.typing import ArrayLike
-    from pandas import DataFrame, Series
+    from feel321.analysis.arrays import Values
 
 FEWEST_JUDGEMENTS = 8
 """With fewer judgements, or pairs of them, a habit cannot be told from chance."""
@@ -56,14 +59,25 @@ ONE_SIDED = 1.6448536269514722
 FASTEST_S = 0.5
 """Nobody feels, weighs and answers in less."""
 
-EXCELLENT = 90.0
-"""The hidden reference is to be rated at least this, the mid anchor at most."""
+EXCELLENT, MIDDLE = 90.0, 50.0
+"""The hidden reference is to be rated at least 90, the mid anchor at most; the low anchor, in the extension, 50."""
 
 MOST_RATERS = 0.25
 """If a larger share of raters puts the mid anchor above `EXCELLENT`, the excerpt was hardly degraded by it."""
 
-MIDDLE = 50.0
-"""What the low anchor may be rated at most, in the extension."""
+MOST_STEPS, FULL = 11, 5
+"""Different ratings up to which a scale may be one of few steps; ratings per step from which a slider would show."""
+
+SAME_POINTS = 2.0
+"""Ratings of a slider that lie no farther apart than this are at the same place."""
+
+FLOOR, PERMUTATIONS = 0.95, 499
+"""Share of permutations that an expert's measure exceeds, and how many there are."""
+
+MEASURES = ("discrimination", "reliability", "agreement")
+GAUGED = ["participant", "measure", "value", "floor", "p"]
+ANCHORS = ("mid", "low")
+"""Kinds of anchor, known by the name of their reducer or stimulus containing the word."""
 
 
 def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
@@ -105,9 +119,8 @@ def multimodality(values: ArrayLike) -> float:
     given = read_numbers(values, what="values").ravel()
     n = len(given)
     if not np.isfinite(given).all():
-        raise ValueError(
-            f"values must be finite, got {int((~np.isfinite(given)).sum())} of {n} that are not; leave them out"
-        )
+        bad = int((~np.isfinite(given)).sum())
+        raise ValueError(f"values must be finite, got {bad} of {n} that are not; leave them out")
     centred = given - given.mean() if n else given
     if n < 4 or (centred**2).sum() <= FLAT * (given**2).sum():  # noqa: PLR2004 - divides by n - 3
         return float("nan")
@@ -118,11 +131,170 @@ def multimodality(values: ArrayLike) -> float:
     return float((g**2 + 1) / (k + 3 * (n - 1) ** 2 / ((n - 2) * (n - 3))))
 
 
+# Ratings prepared for screening.
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judgements:
+    """Ratings with what a rule needs to know of each; items: names of the items by number; given: the table."""
+
+    rows: DataFrame
+    participants: Index
+    items: Series
+    given: DataFrame
+    notes: tuple[str, ...] = ()
+
+    def of_protocols(self, names: Sequence[str]) -> Judgements:
+        """Select the judgements of some protocols; all of them if none is named."""
+        return replace(self, rows=self.rows[self.rows["protocol"].isin(names)]) if names else self
+
+    def of_kind(self, kind: str) -> DataFrame:
+        """Select the judgements of one kind."""
+        return self.rows[self.rows["kind"] == kind]
+
+    def means(self) -> DataFrame:
+        """Average repeats of test stimuli, participants x items; NaN where there is no rating."""
+        tests = self.of_kind("test")
+        means = tests.pivot_table("rating", "participant", "item", observed=True)
+        return means.reindex(self.participants)
+
+    def first_two(self) -> DataFrame:
+        """Pair the first and the second rating of every test stimulus rated twice."""
+        tests = self.of_kind("test")
+        turn = tests.groupby(["participant", "item"], observed=True).cumcount()
+        one, two = (tests[turn == number].set_index(["participant", "item"]) for number in (0, 1))
+        pairs = pd.DataFrame({"first": one["rating"], "second": two["rating"]})
+        return pairs.dropna().reset_index("item", drop=True).reset_index()
+
+    def rounding(self) -> Values:
+        """Average the variance that the steps of the scale add to each participant's ratings of test stimuli."""
+        tests = self.of_kind("test")
+        added = (tests["step"] ** 2 / 12).groupby(tests["participant"].to_numpy(), observed=True)
+        return added.mean().reindex(self.participants, fill_value=0.0).to_numpy(np.float64)
+
+    def count(self, whose: Series) -> Series:
+        """Count rows by participant."""
+        sizes = whose.groupby(whose.to_numpy(), observed=True).size()
+        return sizes.reindex(self.participants, fill_value=0)
+
+
+def key_stimulus(ratings: DataFrame) -> list[str]:
+    """List the columns that together name what was judged against what; the level too, where there are several."""
+    named = (
+        ["stimulus_id"] if "stimulus_id" in ratings else [one for one in NAMING if one in ratings]
+    )
+    arms = ["level"] if "level" in ratings and len(ratings["level"].unique()) > 1 else []
+    reference = ["reference_id"] if "reference_id" in ratings else []
+    return list(dict.fromkeys([*named, *arms, *reference]))
+
+
+def make_judgements(ratings: DataFrame, *, assumed: str = "") -> Judgements:
+    """Prepare a tidy table; ratings that name no protocol are taken to be of the one assumed, if any."""
+    _check_ratings(ratings)
+    if "repeat" in ratings:
+        # As text 10 comes before 2; what is no number keeps its place in the table, behind all numbers.
+        ratings = ratings.sort_values(
+            "repeat", kind="stable", key=lambda turns: pd.to_numeric(turns, errors="coerce")
+        )
+    naming = key_stimulus(ratings)
+    excerpt = [name for name in ("scale", "recording", "level") if name in ratings] or naming
+    item = ["scale", *naming] if "scale" in ratings else naming
+    excerpts, items = (
+        ratings.groupby(keys, observed=True, dropna=False).ngroup().to_numpy()
+        for keys in (excerpt, item)
+    )
+    protocols, notes = _find_protocols(ratings, assumed)
+    rows = pd.DataFrame({
+        "participant": ratings["participant"].to_numpy(), "item": items, "excerpt": excerpts,
+        "kind": _find_kinds(ratings), "protocol": protocols, "step": _find_steps(ratings),
+        "rating": ratings["rating"].to_numpy(np.float64),
+        "time": ratings.get("response_time_s", pd.Series(np.nan, ratings.index)).to_numpy(np.float64),
+    })  # fmt: skip
+    # Numbers and words cannot be compared with each other; each kind keeps its own order.
+    everyone = sorted(rows["participant"].unique(), key=lambda name: (isinstance(name, str), name))
+    names = ratings[item].assign(number=items).drop_duplicates("number").set_index("number")
+    labels = names.astype(str).agg("/".join, axis=1)
+    return Judgements(rows, pd.Index(everyone, name="participant"), labels, ratings, notes)
+
+
+def _check_ratings(ratings: DataFrame) -> None:
+    named = (
+        ["stimulus_id"] if "stimulus_id" in ratings else [one for one in NAMING if one in ratings]
+    )
+    needed = ("participant", "rating", *(named or ["stimulus_id"]))
+    missing = ", ".join(name for name in needed if name not in ratings)
+    if missing:
+        raise ValueError(
+            f"ratings: column {missing} is missing, a table must have {', '.join(needed)}; got "
+            f"{', '.join(map(str, ratings.columns))}"
+        )
+    if ratings.empty:
+        raise ValueError("ratings must hold a row per judgement, got no row")
+    for name in ("participant", *named):
+        if nameless := int(ratings[name].isna().sum()):
+            raise ValueError(
+                f"ratings must all be named, got {nameless} rows without a {name}; name it or leave them out"
+            )
+    values = ratings["rating"].to_numpy(np.float64)
+    bad = values[~((values >= LOWEST) & (values <= HIGHEST))]
+    if len(bad):
+        raise ValueError(
+            f"ratings must lie between 0 and 100, got {len(bad)} ratings such as {bad[0]:g}; leave others out"
+        )
+
+
+def _find_kinds(ratings: DataFrame) -> NDArray[np.object_]:
+    if "role" not in ratings:
+        return np.full(len(ratings), "test", dtype=object)
+    # A pair of two test stimuli is a judgement like any other of test stimuli.
+    kinds = ratings["role"].replace({"pair": "test"}).to_numpy(dtype=object, copy=True)
+    names = ratings["reducer"] if "reducer" in ratings else ratings["stimulus_id"]
+    anchored = ratings["role"].eq("anchor").to_numpy()
+    for kind in ANCHORS:
+        kinds[anchored & names.astype(str).str.contains(kind, case=False).to_numpy()] = kind
+    return kinds
+
+
+def _find_protocols(
+    ratings: DataFrame, assumed: str
+) -> tuple[NDArray[np.object_], tuple[str, ...]]:
+    """Name the protocol of every judgement: as its column says, else as its scale is called, else what is assumed."""
+    of_scale = {protocol.scale: name for name, protocol in PROTOCOLS.items()}
+    given = scales = np.full(len(ratings), "", dtype=object)
+    if "protocol" in ratings:
+        column = ratings["protocol"].astype(object)
+        given = column.where(column.notna(), "").astype(str).to_numpy(object)
+    if "scale" in ratings:
+        scales = ratings["scale"].astype(str).map(of_scale).fillna("").to_numpy(object)
+    by_scale, unknown = (given == "") & (scales != ""), (given == "") & (scales == "")
+    notes = []
+    if by_scale.any():
+        names = f"assumed from their scale ({', '.join(sorted(set(scales[by_scale])))})"
+        notes.append(f"No protocol is given for {by_scale.sum()} ratings: {names}.")
+    if unknown.any() and assumed:
+        sight = f"assumed {assumed}, with a reference in sight"
+        notes.append(f"No protocol is given for {unknown.sum()} ratings: {sight}.")
+    return np.where(by_scale, scales, np.where(unknown, assumed, given)), tuple(notes)
+
+
+def _find_steps(ratings: DataFrame) -> Values:
+    """Find the points between two ratings of a scale of few steps; 0 where a slider was used."""
+    steps, values = np.zeros(len(ratings)), ratings["rating"].to_numpy(np.float64)
+    scales = ratings["scale"].astype(str).to_numpy() if "scale" in ratings else steps.astype(str)
+    for scale in np.unique(scales):
+        own = scales == scale
+        found = np.unique(values[own])
+        gap = float(np.diff(found).min()) if len(found) > 1 else 0.0
+        if gap > SAME_POINTS and len(found) <= MOST_STEPS and own.sum() >= FULL * len(found):
+            steps[own] = gap
+    return steps
+
+
 # What each rule finds of every participant: a table of count, n, share (NaN without judgements), limit and hit.
 
 
 def compare_values(
-    count: Series, n: Series, share: Series, *, limit: float | np.ndarray, below: bool = False
+    count: Series, n: Series, share: Series, *, limit: float | Values, below: bool = False
 ) -> DataFrame:
     """Compare a value of each participant with its limit; NaN flags nobody."""
     values = share.to_numpy(np.float64)
@@ -136,42 +308,23 @@ def compare_values(
 
 def _count_bad(judgements: Judgements, rows: DataFrame, bad: Series, *, limit: float) -> DataFrame:
     """Count how often each participant did what a rule forbids, and compare the share with its limit."""
-    grouped = bad.groupby(rows["participant"].to_numpy(), observed=True)
-    count = grouped.sum().reindex(judgements.participants, fill_value=0)
-    n = grouped.size().reindex(judgements.participants, fill_value=0)
+    count, n = (judgements.count(part["participant"]) for part in (rows[bad], rows))
     return compare_values(count, n, count / n.where(n > 0), limit=limit)
 
 
-def share_undegraded(judgements: Judgements) -> Series:
-    """Share of raters who put the mid anchor of each excerpt above 90, repeats averaged."""
-    mid = judgements.of_kind("mid")
-    means = mid.groupby(["excerpt", "participant"], observed=True)["rating"].mean()
-    return (means > EXCELLENT).groupby("excerpt").mean()
-
-
-def _select_counted(judgements: Judgements, kind: str) -> DataFrame:
-    rows, shares = judgements.of_kind(kind), share_undegraded(judgements)
-    return rows[~rows["excerpt"].isin(shares.index[shares > MOST_RATERS])]
-
-
-def _hidden_reference(judgements: Judgements, limit: float) -> DataFrame:
-    rows = _select_counted(judgements, "reference")
-    return _count_bad(judgements, rows, rows["rating"] < EXCELLENT, limit=limit)
-
-
-def _mid_anchor(judgements: Judgements, limit: float) -> DataFrame:
-    rows = _select_counted(judgements, "mid")
-    return _count_bad(judgements, rows, rows["rating"] > EXCELLENT, limit=limit)
-
-
-def _low_anchor(judgements: Judgements, limit: float) -> DataFrame:
-    rows = judgements.of_kind("low")
-    return _count_bad(judgements, rows, rows["rating"] > MIDDLE, limit=limit)
+def _rate_anchor(judgements: Judgements, limit: float, *, kind: str, end: float) -> DataFrame:
+    """Count hidden references below an end, or anchors above it, of excerpts that count."""
+    mid, rows = judgements.of_kind("mid"), judgements.of_kind(kind)
+    if kind != "low":
+        means = mid.groupby(["excerpt", "participant"], observed=True)["rating"].mean()
+        shares = (means > EXCELLENT).groupby("excerpt").mean()
+        rows = rows[~rows["excerpt"].isin(shares.index[shares > MOST_RATERS])]
+    bad = rows["rating"] < end if kind == "reference" else rows["rating"] > end
+    return _count_bad(judgements, rows, bad, limit=limit)
 
 
 def _too_fast(judgements: Judgements, limit: float) -> DataFrame:
-    timed = judgements.rows.assign(time=judgements.rows.get("response_time_s", np.nan))
-    timed = timed[timed["time"].notna()]
+    timed = judgements.rows[judgements.rows["time"].notna()]
     return _count_bad(judgements, timed, timed["time"] < FASTEST_S, limit=limit)
 
 
@@ -194,17 +347,16 @@ def _reversed_scale(judgements: Judgements, limit: float) -> DataFrame:
     n_others = (means.notna().sum() - means.notna()).replace(0, np.nan)
     others = ((means.sum() - means.fillna(0.0)) / n_others).where(means.notna())
     n = others.notna().sum(axis=1)
-    found = [_correlate(means.loc[who], others.loc[who]) for who in means.index]
-    r = pd.Series(found, index=means.index)
+
+    def correlate(who: Any) -> float:  # noqa: ANN401 - a participant may be named by anything
+        one, two = (frame.loc[who].to_numpy(np.float64) for frame in (means, others))
+        both = np.isfinite(one) & np.isfinite(two)
+        if both.sum() < FEWEST_ITEMS or 0 in {np.ptp(one[both]), np.ptp(two[both])}:
+            return float("nan")
+        return float(np.corrcoef(one[both], two[both])[0, 1])
+
+    r = pd.Series({who: correlate(who) for who in means.index}).reindex(means.index)
     return compare_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=limit, below=True)
-
-
-def _correlate(own: Series, other: Series) -> float:
-    one, two = own.to_numpy(np.float64), other.to_numpy(np.float64)
-    both = np.isfinite(one) & np.isfinite(two)
-    if both.sum() < FEWEST_ITEMS or np.ptp(one[both]) == 0 or np.ptp(two[both]) == 0:
-        return float("nan")
-    return float(np.corrcoef(one[both], two[both])[0, 1])
 
 
 def _straight_lining(judgements: Judgements, limit: float) -> DataFrame:
@@ -218,13 +370,14 @@ def _straight_lining(judgements: Judgements, limit: float) -> DataFrame:
         after = np.searchsorted(ordered, ordered + SAME_POINTS, side="right")
         return int((after - np.arange(len(ordered))).max())
 
-    grouped = judgements.of_kind("test").groupby("participant", observed=True)["rating"]
+    tests = judgements.of_kind("test")
+    grouped = tests.groupby("participant", observed=True)["rating"]
     count = grouped.agg(count_densest).reindex(judgements.participants, fill_value=0)
-    n = grouped.size().reindex(judgements.participants, fill_value=0)
+    n = judgements.count(tests["participant"])
     share = count / n.where(n >= FEWEST_JUDGEMENTS)
     usual = tukey_fences(share.dropna())[1] if share.notna().any() else limit
     widened = max(limit, min(ALL_BUT, max((1 + limit) / 2, usual)))
-    limits = np.where(judgements.rounding().to_numpy() > 0, widened, limit)
+    limits = np.where(judgements.rounding() > 0, widened, limit)
     return compare_values(count, n, share, limit=limits)
 
 
@@ -236,16 +389,15 @@ def _test_retest(judgements: Judgements, limit: float) -> DataFrame:
     pairs = judgements.first_two()
     whose, times = pairs["participant"], pairs[["first", "second"]]
     centred = times - times.groupby(whose, observed=True).transform("mean")
-    products = centred**2
-    products = products.assign(both=centred["first"] * centred["second"])
+    products = (centred**2).assign(both=centred["first"] * centred["second"])
     sums = products.groupby(whose, observed=True).sum().reindex(judgements.participants)
-    n = whose.value_counts().reindex(judgements.participants, fill_value=0)
+    n = judgements.count(whose)
     constant = sums[["first", "second"]].min(axis=1) <= FLAT * HIGHEST**2 * n
     r = (sums["both"] / (sums["first"] * sums["second"]).mask(constant) ** 0.5).clip(-1, 1)
     variance = (sums[["first", "second"]].mean(axis=1) / n.where(n > 0)).mask(constant)
-    left = (1 - judgements.rounding() / variance).clip(0, 1).fillna(1.0).to_numpy()
+    left = (1 - pd.Series(judgements.rounding(), variance.index) / variance).clip(0, 1).fillna(1.0)
     shown = np.tanh(ONE_SIDED / np.sqrt(n.clip(lower=FEWEST_JUDGEMENTS).to_numpy() - 3))
-    floor = np.minimum(limit, shown) * (left if limit > 0 else 1.0)
+    floor = np.minimum(limit, shown) * (left.to_numpy() if limit > 0 else 1.0)
     return compare_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=floor, below=True)
 
 
@@ -253,10 +405,13 @@ def _repeat_sd(judgements: Judgements, limit: float) -> DataFrame:
     """Find raters who rate the same stimulus far apart: random clicking."""
     pairs = judgements.first_two()
     squares = ((pairs["first"] - pairs["second"]) ** 2).groupby(pairs["participant"], observed=True)
-    n = squares.size().reindex(judgements.participants, fill_value=0)
+    n = judgements.count(pairs["participant"])
     share = np.sqrt(squares.mean().reindex(judgements.participants) / 2) / HIGHEST
-    widened = np.sqrt(limit**2 + judgements.rounding().to_numpy() / HIGHEST**2)
+    widened = np.sqrt(limit**2 + judgements.rounding() / HIGHEST**2)
     return compare_values(n, n, share.where(n >= FEWEST_JUDGEMENTS), limit=widened)
+
+
+# Expertise of raters against their own shuffled ratings.
 
 
 def check_expertise(gauge: DataFrame, judgements: Judgements, limit: float) -> DataFrame:
@@ -265,13 +420,78 @@ def check_expertise(gauge: DataFrame, judgements: Judgements, limit: float) -> D
     return _count_bad(judgements, defined, defined["p"] > 1 - FLOOR, limit=limit)
 
 
+def gauge_raters(
+    judgements: Judgements, *, permutations: int = PERMUTATIONS, rng: np.random.Generator
+) -> DataFrame:
+    """Measure how expert each rater is: participant, measure, value, floor (95 % of its null), p.
+
+    From one rater's one-way analysis of variance, items against repeats, with mean squares M_items and M_repeats:
+    discrimination is M_items / M_repeats (do stimuli differ for this rater beyond the rater's own noise?), reliability
+    is the panel's average M_items / M_repeats (is the noise small against what there is to hear or feel?), agreement
+    is Pearson's r with the mean of the others over items. Shuffling ratings over trials keeps how a rater uses the
+    scale and destroys everything else. Rarely use it to exclude: raters who differ are not thereby wrong. [4]_
+    """
+    tests, means = judgements.of_kind("test"), judgements.means()
+    people = [
+        (who, own["item"].to_numpy(), own["rating"].to_numpy())
+        for who, own in tests.groupby("participant", observed=True)
+    ]
+    between = [_mean_squares(item, rating[None])[1][0] for _, item, rating in people]
+    panel_square = float(np.nanmean(between)) if np.isfinite(between).any() else float("nan")
+    rows: list[dict[str, object]] = []
+    for participant, item, rating in people:
+        shuffled = rng.permuted(np.broadcast_to(rating, (permutations, len(rating))), axis=1)
+        averages, square, within = _mean_squares(item, np.vstack([rating, shuffled]))
+        others = means.drop(index=participant).mean().reindex(np.unique(item)).to_numpy()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            measured = square / within, panel_square / within, _agree(averages, others)
+        for name, values in zip(MEASURES, measured, strict=True):
+            value, null = float(values[0]), values[1:][~np.isnan(values[1:])]
+            floor = p = float("nan")
+            if not np.isnan(value) and len(null):
+                floor = float(np.quantile(null, FLOOR, method="higher"))
+                p = (1 + int((null >= value).sum())) / (1 + len(null))
+            told = (participant, name, value, floor, p)
+            rows.append(dict(zip(GAUGED, told, strict=True)))
+    return pd.DataFrame(rows, columns=GAUGED)
+
+
+def _mean_squares(item: NDArray[np.intp], ratings: Values) -> tuple[Values, Values, Values]:
+    """Average each item, and take the mean squares between items and within; NaN for constants and without repeats."""
+    _, place, counts = np.unique(item, return_inverse=True, return_counts=True)
+    starts = np.cumsum(counts) - counts
+    order = np.argsort(place, kind="stable")
+    means = np.add.reduceat(ratings[:, order], starts, axis=1) / counts
+    n_items, spare = len(counts), len(place) - len(counts)
+    nothing = np.full(len(ratings), np.nan)
+    if n_items < 2 or not spare:  # noqa: PLR2004 - a variance needs two
+        return means, nothing, nothing
+    grand = ratings.mean(axis=1, keepdims=True)
+    between = (counts * (means - grand) ** 2).sum(axis=1) / (n_items - 1)
+    within = ((ratings - means[:, place]) ** 2).sum(axis=1) / spare
+    constant = np.ptp(ratings, axis=1) == 0
+    return means, np.where(constant, np.nan, between), np.where(constant, np.nan, within)
+
+
+def _agree(means: Values, others: Values) -> Values:
+    shared = np.isfinite(others)
+    if shared.sum() < FEWEST_ITEMS:
+        return np.full(len(means), np.nan)
+    own = means[:, shared] - means[:, shared].mean(axis=1, keepdims=True)
+    other = others[shared] - others[shared].mean()
+    scale = np.sqrt((own**2).sum(axis=1) * (other**2).sum())
+    r: Values = np.divide(
+        (own * other).sum(axis=1), scale, out=np.full(len(own), np.nan), where=scale > 0
+    )
+    return r
+
+
+# The list.
+
 STANDARD, EXTENSION = "ITU-R BS.1534-3", "extension"
 
-EXPERTISE = "expertise"
-"""The rule that needs a source of randomness."""
-
-EXPERTISE_LIMIT = 0.5
-"""More than half of its measures, that is two of three, are no better than chance."""
+EXPERTISE, EXPERTISE_LIMIT = "expertise", 0.5
+"""The rule that needs a source of randomness: more than half of its measures are no better than chance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -290,50 +510,49 @@ SIGHTED = ("mushra",)
 """Protocols that show the reference beside the stimuli. Limits near the end of the scale presuppose that: somebody who
 rates realism by itself, or a similarity from memory, has no reason to put the original at 90 or above."""
 
-RULES: Mapping[str, Rule] = MappingProxyType(
-    {
-        "hidden_reference": Rule(
-            "hidden reference below 90 on more than {limit:.0%} of items",
-            STANDARD, 0.15, _hidden_reference, "MUSHRA ratings of a stimulus with role 'reference'", SIGHTED,
-        ),
-        "mid_anchor": Rule(
-            "mid anchor above 90 on more than {limit:.0%} of items",
-            STANDARD, 0.15, _mid_anchor, "MUSHRA ratings of an anchor named mid", SIGHTED,
-        ),
-        "low_anchor": Rule(
-            "low anchor above 50 on more than {limit:.0%} of items",
-            EXTENSION, 0.15, _low_anchor, "MUSHRA ratings of an anchor named low", SIGHTED,
-        ),
-        "straight_lining": Rule(
-            "more than {limit:.0%} of ratings within 2 points of each other",
-            EXTENSION, 0.5, _straight_lining, "8 ratings of test stimuli",
-        ),
-        "test_retest": Rule(
-            "correlation of first and second ratings below {limit:g}, or what so many pairs show to be above zero",
-            EXTENSION, 0.3, _test_retest, "8 test stimuli rated twice, not all alike",
-        ),
-        "repeat_sd": Rule(
-            "standard deviation of repeated ratings above {limit:.0%} of the scale",
-            EXTENSION, 0.2, _repeat_sd, "8 test stimuli rated twice",
-        ),
-        "reversed_scale": Rule(
-            "correlation with the mean of the others below {limit:g}",
-            EXTENSION, -0.3, _reversed_scale, "8 test stimuli that others rated too, not all alike",
-        ),
-        "too_fast": Rule(
-            "more than {limit:.0%} of answers within 0.5 s",
-            EXTENSION, 0.15, _too_fast, "column 'response_time_s'",
-        ),
-        "outliers": Rule(
-            "outside Tukey's fences on more than {limit:.0%} of test stimuli",
-            EXTENSION, 0.15, _outliers, "test stimuli that 5 raters rated",
-        ),
-        EXPERTISE: Rule(
-            "more than {limit:.0%} of discrimination, reliability and agreement no better than shuffled ratings",
-            "in the manner of Report ITU-R BS.2300", EXPERTISE_LIMIT, None, "test stimuli rated twice or by others too",
-        ),
-    }
-)  # fmt: skip
+RULES: Mapping[str, Rule] = MappingProxyType({
+    "hidden_reference": Rule(
+        "hidden reference below 90 on more than {limit:.0%} of items", STANDARD, 0.15,
+        partial(_rate_anchor, kind="reference", end=EXCELLENT), "MUSHRA ratings of a stimulus with role 'reference'",
+        SIGHTED,
+    ),
+    "mid_anchor": Rule(
+        "mid anchor above 90 on more than {limit:.0%} of items", STANDARD, 0.15,
+        partial(_rate_anchor, kind="mid", end=EXCELLENT), "MUSHRA ratings of an anchor named mid", SIGHTED,
+    ),
+    "low_anchor": Rule(
+        "low anchor above 50 on more than {limit:.0%} of items", EXTENSION, 0.15,
+        partial(_rate_anchor, kind="low", end=MIDDLE), "MUSHRA ratings of an anchor named low", SIGHTED,
+    ),
+    "straight_lining": Rule(
+        "more than {limit:.0%} of ratings within 2 points of each other",
+        EXTENSION, 0.5, _straight_lining, "8 ratings of test stimuli",
+    ),
+    "test_retest": Rule(
+        "correlation of first and second ratings below {limit:g}, or what so many pairs show to be above zero",
+        EXTENSION, 0.3, _test_retest, "8 test stimuli rated twice, not all alike",
+    ),
+    "repeat_sd": Rule(
+        "standard deviation of repeated ratings above {limit:.0%} of the scale",
+        EXTENSION, 0.2, _repeat_sd, "8 test stimuli rated twice",
+    ),
+    "reversed_scale": Rule(
+        "correlation with the mean of the others below {limit:g}",
+        EXTENSION, -0.3, _reversed_scale, "8 test stimuli that others rated too, not all alike",
+    ),
+    "too_fast": Rule(
+        "more than {limit:.0%} of answers within 0.5 s",
+        EXTENSION, 0.15, _too_fast, "column 'response_time_s'",
+    ),
+    "outliers": Rule(
+        "outside Tukey's fences on more than {limit:.0%} of test stimuli",
+        EXTENSION, 0.15, _outliers, "test stimuli that 5 raters rated",
+    ),
+    EXPERTISE: Rule(
+        "more than {limit:.0%} of discrimination, reliability and agreement no better than shuffled ratings",
+        "in the manner of Report ITU-R BS.2300", EXPERTISE_LIMIT, None, "test stimuli rated twice or by others too",
+    ),
+})  # fmt: skip
 """Name -> rule, in the order of reports."""
 
 
@@ -367,63 +586,3 @@ def choose_limits(
     return {
         name: float(own.get(name, rule.limit)) for name, rule in RULES.items() if name in wanted
     }
-
-
-# A lab's own rules: a function of the ratings that returns a number per participant, flagged above its ``limit``.
-
-
-def find_rules(given: Iterable[object], folder: Path | None = None) -> tuple[Method, ...]:
-    """Find a lab's own rules: functions, places in the study's folder or in packages, entry points."""
-    found = tuple(find_method("screening rule", one, taken=RULES, folder=folder) for one in given)
-    names = [method.name for method in found]
-    if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(
-            f"screening rules must have names of their own, got more than one {', '.join(doubled)}"
-        )
-    return found
-
-
-def make_rule(method: Method) -> Rule:
-    """Make a rule of a lab's function and what its attributes declare."""
-    function = method.load()
-    if not callable(function):
-        raise TypeError(f"{method}: must be a function of the ratings, got {describe(function)}")
-    limit, says = getattr(function, "limit", None), getattr(function, "says", method.name)
-    if isinstance(limit, bool) or not isinstance(limit, int | float) or not np.isfinite(limit):
-        raise ValueError(
-            f"{method}: limit must be a number, got {describe(limit)}; write {method.name}.limit = 0.15"
-        )
-    try:
-        str(says).format(limit=limit)
-    except (LookupError, ValueError, AttributeError) as error:
-        raise ValueError(
-            f"{method}: says must be words, with {{limit}} for the limit, got {says!r} ({error})"
-        ) from None
-    needs = str(getattr(function, "needs", "what its function needs"))
-    source = f"the lab's own, {method.place}"
-    return Rule(str(says), source, float(limit), partial(_find, method), needs)
-
-
-def _find(method: Method, judgements: Judgements, limit: float) -> DataFrame:
-    ratings, everyone = judgements.given, judgements.participants
-    told = call(method, method.load(), ratings.copy())
-    if told is None:
-        raise TypeError(
-            f"{method}: must return a number per participant, got None; does it return anything?"
-        )
-    try:
-        found = pd.Series(told, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(
-            f"{method}: must return a number per participant, got {describe(told)}"
-        ) from None
-    if unknown := [one for one in found.index if one not in everyone]:
-        raise ValueError(
-            f"{method}: must return a number per participant of the ratings, got one for {unknown[0]!r}"
-        )
-    if not found.index.is_unique or np.isinf(found).any():
-        raise ValueError(
-            f"{method}: must return one finite number per participant, or NaN where the rule does not apply"
-        )
-    n = ratings.groupby("participant", observed=True).size().reindex(everyone, fill_value=0)
-    return compare_values(n, n, found.reindex(everyone), limit=limit)

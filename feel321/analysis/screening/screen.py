@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,26 +13,16 @@ import pandas as pd
 from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.screening import rules as measures
-from feel321.analysis.screening.judgements import (
-    Judgements,
-    gauge_raters,
-    key_stimulus,
-    make_judgements,
-)
-from feel321.analysis.screening.rules import (
-    EXPERTISE,
-    RULES,
-    SIGHTED,
-    Rule,
-    check_expertise,
-    choose_limits,
-)
+from feel321.analysis.screening.rules import EXPERTISE, RULES, SIGHTED, Judgements, Rule
 from feel321.analysis.table.items import Table, leave_rejected, name_stimuli, open_ratings
-from feel321.doors import as_rng
+from feel321.doors import as_rng, describe
+from feel321.extensions import Method, call, find_method
 from feel321.records import Result
 from feel321.types import Rng
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from pandas import DataFrame
 
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
@@ -46,9 +37,6 @@ class Screening(Result):
     table : DataFrame
         participant, rule, count, n, share, limit, hit; one row each. ``share`` is count / n, or the value that the
         rule compares with its limit (a correlation, a standard deviation); NaN where the rule does not apply.
-    excerpts : DataFrame
-        Per scale, recording and level with a mid anchor: share of raters who put it above 90, and whether the
-        excerpt counts (BS.1534-3: it does not above 25 %).
     items : DataFrame
         Per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal (above 5/9).
     gauge : DataFrame
@@ -65,7 +53,6 @@ class Screening(Result):
     """
 
     table: DataFrame
-    excerpts: DataFrame
     items: DataFrame
     gauge: DataFrame
     panel: DataFrame
@@ -200,27 +187,28 @@ def screen_raters(
     0         ann      1  10    0.1   0.15  False
     1         bob      2  10    0.2   0.15   True
     """
-    further = {method.name: measures.make_rule(method) for method in measures.find_rules(own)}
-    limits = choose_limits(rules, random=rng is not None)
+    further = {method.name: make_rule(method) for method in find_rules(own)}
+    limits = measures.choose_limits(rules, random=rng is not None)
     limits |= {name: rule.limit for name, rule in further.items()}
     known = {**RULES, **further}
     ratings, left_out = leave_rejected(name_stimuli(open_ratings(table)))
     if "rating" in ratings:
         ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
-    judgements = make_judgements(ratings, assumed="" if rules is None else SIGHTED[0])
-    gauge = pd.DataFrame(columns=["participant", "measure", "value", "floor", "p"])
+    judgements = measures.make_judgements(ratings, assumed="" if rules is None else SIGHTED[0])
+    gauge = pd.DataFrame(columns=measures.GAUGED)
     if rng is not None and EXPERTISE in limits:
-        gauge = gauge_raters(judgements, rng=as_rng(rng))
+        gauge = measures.gauge_raters(judgements, rng=as_rng(rng))
     found = {}
     for name, limit in limits.items():
         find, meant = known[name].find, judgements.of_protocols(known[name].protocols)
-        found[name] = find(meant, limit) if find else check_expertise(gauge, judgements, limit)
+        found[name] = (
+            find(meant, limit) if find else measures.check_expertise(gauge, judgements, limit)
+        )
     parts = [part.reset_index().assign(rule=name) for name, part in found.items()]
     screened = pd.concat(parts, ignore_index=True)
     hit = screened.loc[screened["hit"], "participant"].unique()
     return Screening(
         table=screened[["participant", "rule", "count", "n", "share", "limit", "hit"]],
-        excerpts=_describe_excerpts(judgements.of_protocols(SIGHTED)),
         items=_describe_items(judgements),
         gauge=gauge,
         panel=describe_panel(ratings, hit),
@@ -251,7 +239,7 @@ def describe_panel(ratings: DataFrame, hit: Iterable[object]) -> DataFrame:
 
 
 def _measure_reliability(tests: DataFrame) -> dict[str, object]:
-    pivot = tests.pivot_table("rating", key_stimulus(tests), "participant", observed=True)
+    pivot = tests.pivot_table("rating", measures.key_stimulus(tests), "participant", observed=True)
     votes = pivot.to_numpy(np.float64)
     complete = votes[np.isfinite(votes).all(axis=1)]
     figures = dict.fromkeys(FIGURES, float("nan"))
@@ -286,29 +274,68 @@ def _explain_rules(
             yield f"Rule '{name}' not applied{whom}: it needs {known[name].needs}."
 
 
-def _describe_excerpts(judgements: Judgements) -> DataFrame:
-    shares = measures.share_undegraded(judgements)
-    excerpts = judgements.excerpts.loc[shares.index]
-    return excerpts.assign(mid_above_90=shares, counts=shares <= measures.MOST_RATERS)
-
-
 def _describe_items(judgements: Judgements) -> DataFrame:
-    tests = judgements.of_kind("test")
-    rows = []
-    steps = tests.groupby("item")["step"].max()
-    means = judgements.means()
-    for item, step in steps.items():
+    steps, means = judgements.of_kind("test").groupby("item")["step"].max(), judgements.means()
+    labels, rows = judgements.items.to_dict(), []
+    for item, step in steps.to_dict().items():
         own = means[item].dropna().to_numpy(np.float64)
         low, high = measures.tukey_fences(own, step=step)
-        rows.append({
-            "item": item,
-            "n": len(own),
-            "low_fence": low,
-            "high_fence": high,
-            "outliers": int(((own < low) | (own > high)).sum()),
-            "multimodality": measures.multimodality(own),
-        })
+        outliers = int(((own < low) | (own > high)).sum())
+        rows.append((labels[item], len(own), low, high, outliers, measures.multimodality(own)))
     columns = ["item", "n", "low_fence", "high_fence", "outliers", "multimodality"]
     described = pd.DataFrame(rows, columns=columns)
-    described["item"] = judgements.items.reindex(described["item"]).to_numpy()
     return described.assign(multimodal=described["multimodality"] > measures.UNIMODAL)
+
+
+# A lab's own rules: a function of the ratings that returns a number per participant, flagged above its ``limit``.
+
+
+def find_rules(given: Iterable[object], folder: Path | None = None) -> tuple[Method, ...]:
+    """Find a lab's own rules: functions, places in the study's folder or in packages, entry points."""
+    found = tuple(find_method("screening rule", one, taken=RULES, folder=folder) for one in given)
+    names = [method.name for method in found]
+    if doubled := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(
+            f"screening rules must have names of their own, got more than one {', '.join(doubled)}"
+        )
+    return found
+
+
+def make_rule(method: Method) -> Rule:
+    """Make a rule of a lab's function and what its attributes declare."""
+    function = method.load()
+    if not callable(function):
+        raise TypeError(f"{method}: must be a function of the ratings, got {describe(function)}")
+    limit, says = getattr(function, "limit", None), getattr(function, "says", method.name)
+    if isinstance(limit, bool) or not isinstance(limit, int | float) or not np.isfinite(limit):
+        raise ValueError(
+            f"{method}: limit must be a number, got {describe(limit)}; write {method.name}.limit = 0.15"
+        )
+    try:
+        str(says).format(limit=limit)
+    except (LookupError, ValueError, AttributeError) as error:
+        raise ValueError(
+            f"{method}: says must be words, with {{limit}} for the limit, got {says!r} ({error})"
+        ) from None
+    needs = str(getattr(function, "needs", "what its function needs"))
+    source = f"the lab's own, {method.place}"
+    return Rule(str(says), source, float(limit), partial(_find, method), needs)
+
+
+def _find(method: Method, judgements: Judgements, limit: float) -> DataFrame:
+    ratings, everyone = judgements.given, judgements.participants
+    told, must = call(method, method.load(), ratings.copy()), "must return a number per participant"
+    if told is None:
+        raise TypeError(f"{method}: {must}, got None; does it return anything?")
+    try:
+        found = pd.Series(told, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TypeError(f"{method}: {must}, got {describe(told)}") from None
+    if unknown := [one for one in found.index if one not in everyone]:
+        raise ValueError(f"{method}: {must} of the ratings, got one for {unknown[0]!r}")
+    if not found.index.is_unique or np.isinf(found).any():
+        raise ValueError(
+            f"{method}: must return one finite number per participant, or NaN where the rule does not apply"
+        )
+    n = judgements.count(ratings["participant"])
+    return measures.compare_values(n, n, found.reindex(everyone), limit=limit)

@@ -105,7 +105,7 @@ def _find(file: str, column: str, info: Mapping[str, MetricInfo]) -> Iterator[Va
         bounds = format_bounds(one) if bounded else ""
         yield Variable(file, column, "number", one.unit, bounds, f"metric: {one.label}; {better}")
     if column in (further := describe_further()):
-        yield Variable(file, column, "number", "", "", f"metric: {further[column].meaning}")
+        yield Variable(file, column, "number", "", "", f"metric: {further[column]}")
     base, _, end = column.rpartition("_")
     for one_of in _find(file, base, info) if end in DERIVED else ():
         meaning, allowed = DERIVED[end]

@@ -18,13 +18,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, HIGHEST, NAMING, NO, PAIRED, RECAST, YES
+from feel321.analysis.words import capitalise, format_level, format_name
 from feel321.doors import as_names, check_name
 from feel321.records import Result
 from feel321.types import MetricInfo
@@ -142,43 +143,6 @@ class Table(Result):
         rows, _ = open_tests(self)
         return rows.pivot_table("rating", STIMULUS, "participant", observed=True)
 
-    def model_frame(self) -> DataFrame:
-        """Make the table that a mixed model takes, here or in R.
-
-        Returns
-        -------
-        DataFrame
-            A row per judgement of a test stimulus: participant, item, recording, source, reducer, scale, level,
-            repetition, rating, and of every metric the value, its part within the recording (``_w``: minus the mean
-            over the recording's stimuli) and between recordings (``_b``: that mean).
-        """
-        kept = ["participant", "item", "recording", "source", "reducer", *ARMS, "repetition"]
-        parts = []
-        for part in split_tests(self):
-            rows = part.rows.assign(item=part.rows[STIMULUS]).rename(
-                columns={"repeat": "repetition"}
-            )
-            items = rows.drop_duplicates("item").set_index("item")
-            means = items.groupby("recording", observed=True)[list(self.metrics)].transform("mean")
-            within = items[list(self.metrics)] - means
-            both = within.add_suffix("_w").join(means.add_suffix("_b"))
-            parts.append(rows[[*kept, "rating", *self.metrics]].join(both, on="item"))
-        from pandas import concat
-
-        return concat(parts, ignore_index=True)
-
-    def wide(self) -> DataFrame:
-        """Lay the ratings out with a row per participant, as JASP and SPSS take them.
-
-        Returns
-        -------
-        DataFrame, indexed by participant
-            A column per scale and stimulus, such as ``realism_oak_dft321_as_is``: the mean over repeats.
-        """
-        rows = self.rows.assign(column=self.rows["scale"] + "_" + self.rows[STIMULUS])
-        wide = rows.pivot_table("rating", "participant", "column", observed=True)
-        return wide.rename_axis(columns=None)
-
     def to_frame(self) -> DataFrame:
         """Return the judgements.
 
@@ -206,14 +170,6 @@ class Table(Result):
             f"metrics: {', '.join(self.metrics)}",
             *self.notes,
         ))
-
-
-class Tests(NamedTuple):
-    """Judgements of test stimuli of one scale and level that the metrics describe."""
-
-    scale: str
-    level: str
-    rows: DataFrame
 
 
 def is_tidy(given: object) -> TypeGuard[Table | DataFrame]:
@@ -328,29 +284,9 @@ def _read_marks(marks: Series) -> Series:
 def name_stimuli(ratings: DataFrame) -> DataFrame:
     """Give a table the column ``stimulus_id`` where another column is meant as that."""
     spoken = [name for name in SPOKEN if name in ratings]
-    if STIMULUS in ratings or not spoken:
+    if STIMULUS in ratings or not spoken or {"recording", "reducer"} <= set(ratings):
         return ratings
-    named = [name for name in NAMING if name in ratings]
-    if {"recording", "reducer"} <= set(named):
-        _refuse_finer(ratings, spoken, named)
-        return ratings
-    if len(spoken) > 1:
-        _refuse_finer(ratings, spoken[1:], spoken[:1])
-        _refuse_finer(ratings, spoken[:1], spoken[1:])
     return ratings.assign(**{STIMULUS: ratings[spoken[0]]})
-
-
-def _refuse_finer(ratings: DataFrame, spoken: list[str], named: list[str]) -> None:
-    """Refuse a column that distinguishes stimuli that others call one."""
-    for name in spoken:
-        pairs = ratings[[*named, name]].drop_duplicates()
-        twice = pairs[pairs.duplicated(named)]
-        if len(twice):
-            of = "/".join(map(str, twice[named].iloc[0]))
-            raise ValueError(
-                f"ratings: got several values of '{name}' for {' x '.join(named)} {of}; which of them names the "
-                f"stimulus is unknown: call its column '{STIMULUS}'"
-            )
 
 
 def name_items(ratings: DataFrame) -> DataFrame:
@@ -410,18 +346,73 @@ def _refuse_unnamed(rows: DataFrame, names: Iterable[str]) -> None:
             )
 
 
-def split_tests(ratings: Table | DataFrame) -> Iterator[Tests]:
-    """Split the ratings of test stimuli that the metrics describe by scale and level."""
-    rows = open_ratings(ratings).assign()
-    for column in ARMS:
-        rows[column] = rows.get(column, "")
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Ratings on one scale and one level; several: whether there are other levels; thinned: a note."""
+
+    scale: str
+    level: str
+    rows: DataFrame
+    several: bool = False
+    thinned: str = ""
+
+    @property
+    def ratings(self) -> str:
+        """How to call it within a sentence."""
+        return f"{format_name(self.scale)} ratings" + self._where
+
+    @property
+    def subject(self) -> str:
+        """How to call it at the head of a line."""
+        return capitalise(format_name(self.scale)) + self._where
+
+    @property
+    def _where(self) -> str:
+        return format_level(self.level * self.several)
+
+    @property
+    def place(self) -> tuple[str, str]:
+        """Scale and level."""
+        return self.scale, self.level
+
+    @property
+    def lead(self) -> str:
+        """What leads a note."""
+        return f"{self.scale}, {self.level}"
+
+    @property
+    def keys(self) -> dict[str, str]:
+        """What a row says of it."""
+        return {"scale": self.scale, "level": self.level}
+
+
+def split_arms(rows: DataFrame) -> Iterator[Part]:
+    """Split rows by scale, in their order, and level, by name."""
+    arms = dict(tuple(rows.groupby(list(ARMS), observed=True)))
+    order = {scale: place for place, scale in enumerate(rows["scale"].unique())}
+    several = len({level for _, level in arms}) > 1
+    for scale, level in sorted(arms, key=lambda arm: (order[arm[0]], arm[1])):
+        yield Part(str(scale), str(level), arms[scale, level], several)
+
+
+def select_tests(ratings: Table | DataFrame, *, matched: bool = True) -> DataFrame:
+    """Select the ratings of single test stimuli; matched: those that the metrics describe."""
+    rows = open_ratings(ratings)
+    rows = rows.assign(**{name: "" for name in ARMS if name not in rows})
     _refuse_unnamed(rows, ARMS)
     rows = recast_pairs(rows)
-    rated = (rows[ROLE] == TEST if ROLE in rows else True) & ~rows["scale"].isin(APART)
-    if "matched" in rows:
+    rated = ~rows["scale"].isin(APART)
+    if ROLE in rows:
+        rated &= rows[ROLE] == TEST
+    if matched and "matched" in rows:
         rated &= rows["matched"]
-    for (scale, level), part in rows[rated].groupby(list(ARMS), observed=True):
-        yield Tests(str(scale), str(level), part)
+    rows = rows[rated]
+    return rows.assign(item=rows[STIMULUS]) if STIMULUS in rows else rows
+
+
+def split_tests(ratings: Table | DataFrame, *, matched: bool = True) -> Iterator[Part]:
+    """Split the ratings of test stimuli by scale and level."""
+    return split_arms(select_tests(ratings, matched=matched))
 
 
 def recast_pairs(rows: DataFrame) -> DataFrame:

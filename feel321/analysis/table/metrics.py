@@ -43,51 +43,44 @@ KINDS: Mapping[str, tuple[str, str]] = {
 manifest, or per judgement in the ratings, where a stimulus has the mean over its judgements."""
 
 
-def _describe_rotations() -> Iterator[tuple[str, MetricInfo]]:
-    """Describe mean and spread of each match metric over orientations; of a spread, lower is better."""
-    for name in MATCHES:
-        one = METRIC_INFO[name]
-        label = f"mean {one.label} over orientations"
-        yield f"{name}_rotation_mean", replace(one, label=label)
-        label = f"spread of the {one.label} over orientations"
-        yield f"{name}_rotation_sd", MetricInfo(label, "worse", low=0.0)
-
-
-ROTATIONS: Mapping[str, MetricInfo] = dict(_describe_rotations())
+_LABELS = {name: METRIC_INFO[name].label for name in MATCHES}
+ROTATIONS: Mapping[str, MetricInfo] = {
+    f"{name}_rotation_mean": replace(METRIC_INFO[name], label=f"mean {label} over orientations")
+    for name, label in _LABELS.items()
+} | {
+    f"{name}_rotation_sd": MetricInfo(f"spread of the {label} over orientations", "worse", low=0.0)
+    for name, label in _LABELS.items()
+}
 """Rotation statistics (Park & Kuchenbecker 2019), computed by `analyze`; a study may declare them."""
 
 
-def describe_further() -> dict[str, schema.ColumnInfo]:
-    """List the columns that are derived from a metric and explored beside those that an analysis was planned for."""
+def describe_further() -> dict[str, str]:
+    """Say what the columns are that are derived from a metric and explored beside those that were planned."""
     return {
-        f"{metric}_{kind}": schema.ColumnInfo(
-            meaning.format(metric.replace("_", " ")), kind="metric"
-        )
+        f"{metric}_{kind}": meaning.format(metric.replace("_", " "))
         for metric in MATCHES
         for kind, (meaning, of) in KINDS.items()
         if not of or metric in of.split()
     }
 
 
-def describe_explored(metrics: Sequence[str]) -> dict[str, schema.ColumnInfo]:
-    """List the columns of metrics that an analysis of other metrics explores.
+def describe_explored(metrics: Sequence[str]) -> dict[str, str]:
+    """Say what the columns of metrics are that an analysis of other metrics explores.
 
     Examples
     --------
     >>> list(describe_explored(["spectral_match_bounded", "temporal_match"]))[:1]
     ['spectral_match']
     """
-    own = {name: schema.ColumnInfo(METRIC_INFO[name].label, kind="metric") for name in WRITTEN}
-    return {
-        name: column for name, column in (own | describe_further()).items() if name not in metrics
-    }
+    every = {name: METRIC_INFO[name].label for name in WRITTEN} | describe_further()
+    return {name: meaning for name, meaning in every.items() if name not in metrics}
 
 
 def describe_manifest(metrics: Iterable[str] = ()) -> dict[str, schema.ColumnInfo]:
     """List the columns that a manifest may have, with the metrics that are asked for."""
-    declared = {name: schema.ColumnInfo("a metric", kind="metric") for name in metrics}
+    kind = schema.ColumnInfo("metric")
     needed = {name: column for name, column in schema.MANIFEST.items() if column.needed}
-    return {**schema.MANIFEST, **describe_explored(()), **declared, **needed}
+    return {**schema.MANIFEST, **dict.fromkeys([*describe_explored(()), *metrics], kind), **needed}
 
 
 def list_numeric(cells: DataFrame) -> list[str]:
@@ -102,16 +95,16 @@ def list_numeric(cells: DataFrame) -> list[str]:
     return [name for name in map(str, cells) if name not in schema.NOT_METRICS and is_numeric(name)]
 
 
+UNUSED = {name for name, column in schema.MANIFEST.items() if not column.used}
+
+
 def list_rivals(manifest: Path | DataFrame) -> list[str]:
     """List the columns of a manifest that may be compared as metrics: numeric, and no fact about the file or gain."""
-    facts = {name for name, column in schema.MANIFEST.items() if not column.used}
-    facts |= {*schema.FACTS}
-    cells = schema.read_cells(manifest)
-    kinds = tuple(f"_{kind}" for kind in KINDS)
+    derived, kinds = describe_further(), tuple(f"_{kind}" for kind in KINDS)
     return [
         name
-        for name in list_numeric(cells)
-        if name not in facts and not (name.endswith(kinds) and name in describe_further())
+        for name in list_numeric(schema.read_cells(manifest))
+        if name not in UNUSED | {*schema.FACTS} and not (name.endswith(kinds) and name in derived)
     ]
 
 
@@ -119,11 +112,10 @@ def read_attributes(manifest: Path | DataFrame) -> DataFrame:
     """Read every numeric column of a manifest that may say what stimuli are like, by stimulus_id."""
     import pandas as pd
 
-    facts = {name for name, column in schema.MANIFEST.items() if not column.used} | {schema.GAIN}
-    cells = schema.read_cells(manifest)
-    names = [name for name in list_numeric(cells) if name not in facts]
-    numbers = {name: pd.to_numeric(cells[name], errors="coerce").to_numpy() for name in names}
-    return pd.DataFrame(numbers, index=pd.Index(cells["stimulus_id"]))
+    cells = schema.read_cells(manifest).set_index("stimulus_id")
+    names = [name for name in list_numeric(cells) if name not in UNUSED | {schema.GAIN}]
+    numbers = {name: pd.to_numeric(cells[name], errors="coerce") for name in names}
+    return pd.DataFrame(numbers, index=cells.index)
 
 
 def gather_info(

@@ -25,7 +25,6 @@ SHORT = 10
 SPACE = (
     "Where a map of the dissimilarities can be made, it is shown under The space of what was felt."
 )
-VOTES = "They are evaluated under Choices between two stimuli."
 
 
 def list_names(names: Sequence[str]) -> str:
@@ -42,23 +41,17 @@ def list_names(names: Sequence[str]) -> str:
 
 def note_scales(sheet: DataFrame) -> Iterator[str]:
     """Say which scales may have had other ends, and which were judged in several tasks."""
-    ends = sheet.groupby("scale")["rating"].agg(["min", "max"])
-    for scale, low, high in ends.itertuples():
+    for scale, rows in sheet.groupby("scale"):
+        name, low, high = shorten(str(scale)), rows["rating"].min(), rows["rating"].max()
         if low < high <= SHORT:
-            name = list_names([scale])
             yield (
                 f"Ratings of scale {name} run from {low:g} to {high:g}: if 100 was not its upper end, rescale them to "
                 "0 to 100."
             )
-    if "protocol" not in sheet:
-        return
-    for scale, tasks in sheet.groupby("scale")["protocol"].unique().items():
+        tasks = sorted(rows["protocol"].unique()) if "protocol" in rows else []
         if len(tasks) > 1:
-            name = list_names([str(scale)])
-            yield (
-                f"Scale {name} was judged in {len(tasks)} protocols, which are taken together: "
-                f"{list_names(sorted(tasks))}."
-            )
+            listed = list_names(tasks)
+            yield f"Scale {name} was judged in {len(tasks)} protocols, which are taken together: {listed}."
 
 
 def note_stimuli(sheet: DataFrame) -> Iterator[str]:
@@ -68,10 +61,11 @@ def note_stimuli(sheet: DataFrame) -> Iterator[str]:
     if schema.GAIN in sheet and as_is[schema.GAIN].notna().any():
         low, high = as_is[schema.GAIN].min(), as_is[schema.GAIN].max()
         one_each = as_is.groupby("recording")[schema.GAIN].nunique().max() == 1
-        scope = "one gain per recording" if one_each else "gains"
+        scope, values = "gains", f"{low:.3g} to {high:.3g}"
         if low == high:
-            scope = "one gain for the whole set"
-        values = f"{low:.3g}" if low == high else f"{low:.3g} to {high:.3g}"
+            scope, values = "one gain for the whole set", f"{low:.3g}"
+        elif one_each:
+            scope = "one gain per recording"
         yield f"Stimuli as is were played with {scope}: {values} m/s² per m/s² recorded."
     if schema.SENSATION in sheet and (weak := int((sheet[schema.SENSATION] < 0).sum())):
         yield f"{weak} of {len(sheet)} stimuli were played below the detection threshold."
@@ -94,16 +88,20 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
         )
 
 
-def note_gaps(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
-    """Say which stimuli nobody rated, and which scales have no test stimulus."""
-    apart = rows["scale"].isin(schema.APART)
+def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
+    """Say which stimuli nobody rated, which scales have no test stimulus, and which metrics some stimuli lack."""
+    apart, tests = rows["scale"].isin(schema.APART), rows[rows[ROLE] == TEST]
     both = ("reference_id", "other_id")
     rated = {*rows[STIMULUS].unique(), *(n for key in both for n in rows.loc[apart, key].unique())}
     if unrated := [str(name) for name in manifest.index if name not in rated]:
         yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {list_names(unrated)}."
-    tested = set(rows.loc[rows[ROLE] == TEST, "scale"].unique())
-    for scale in sorted(set(rows["scale"].unique()) - tested - set(schema.APART)):
-        yield f"Scale {list_names([scale])} was rated on references and anchors only: it has no association."
+    for scale in sorted(set(rows["scale"]) - set(tests["scale"]) - set(schema.APART)):
+        yield f"Scale {shorten(scale)} was rated on references and anchors only: it has no association."
+    for name in (name for name in describe_explored(metrics) if name in rows):
+        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
+        if len(lacking):
+            first = shorten(str(lacking[0]))
+            yield f"'{name}' is not reported: {len(lacking)} rated test stimuli have none, first {first}."
 
 
 def note_lookalikes(rows: DataFrame) -> Iterator[str]:
@@ -124,46 +122,32 @@ def note_lookalikes(rows: DataFrame) -> Iterator[str]:
             )
 
 
-def note_lacking(rows: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
-    """Say which further metrics some rated test stimuli lack."""
-    tests = rows[rows[ROLE] == TEST]
-    for name in (name for name in describe_explored(metrics) if name in rows):
-        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
-        if len(lacking):
-            first = list_names([str(lacking[0])])
-            yield f"'{name}' is not reported: {len(lacking)} rated test stimuli have none, first {first}."
-
-
 def note_apart(rows: DataFrame) -> Iterator[str]:
     """Say which scales enter no association, and why."""
     counts = rows["scale"].value_counts()
-    lead = "Scale '{}': none of its {} judgements enters an association, because"
-    if n := counts.get(schema.PAIRED, 0):
-        yield _note_pairs(rows[rows["scale"] == schema.PAIRED], lead.format(schema.PAIRED, n))
-    if n := counts.get(schema.ANSWERED, 0):
-        yield (
-            f"{lead.format(schema.ANSWERED, n)} they are right (100) or wrong (0). The profile holds the "
-            "percentage correct; guessing gives 50."
-        )
-    for scale in schema.CHOSEN:
-        if n := counts.get(scale, 0):
-            yield f"{lead.format(scale, n)} one of two stimuli was chosen. {VOTES}"
-
-
-def _note_pairs(rows: DataFrame, none: str) -> str:
-    """Say which dissimilarities enter associations, turned round, and which do not."""
-    pairs, turned = (int((rows[ROLE] == role).sum()) for role in (schema.PAIR, TEST))
-    if not turned:
-        return (
-            f"{none} a metric describes one stimulus and they compare two. The profile holds the {len(rows) - pairs} "
-            f"that compare with the reference, and leaves out {pairs}. {SPACE}"
-        )
-    return (
-        f"Scale '{schema.PAIRED}': {turned} of its {len(rows)} judgements compare a reduction with its original. Those "
-        f"enter associations and slopes as a similarity, 100 less the dissimilarity (scale '{schema.RECAST}'): with "
-        "the dissimilarity itself every slope and every correlation has the opposite sign. The other "
-        f"{len(rows) - turned} (two reductions, identical pairs, anchors) enter none of them. {SPACE}"
-    )
+    for scale in (scale for scale in schema.APART if scale in counts):
+        own, n = rows[rows["scale"] == scale], counts[scale]
+        none = f"Scale '{scale}': none of its {n} judgements enters an association, because"
+        pairs, turned = (int((own[ROLE] == role).sum()) for role in (schema.PAIR, TEST))
+        if scale == schema.ANSWERED:
+            yield (
+                f"{none} they are right (100) or wrong (0). The profile holds the percentage correct; "
+                "guessing gives 50."
+            )
+        elif scale in schema.CHOSEN:
+            yield f"{none} one of two stimuli was chosen. They are evaluated under Choices between two stimuli."
+        elif not turned:
+            yield (
+                f"{none} a metric describes one stimulus and they compare two. The profile holds the {n - pairs} that "
+                f"compare with the reference, and leaves out {pairs}. {SPACE}"
+            )
+        else:
+            yield (
+                f"Scale '{scale}': {turned} of its {n} judgements compare a reduction with its original. Those enter "
+                f"associations and slopes as a similarity, 100 less the dissimilarity (scale '{schema.RECAST}'): with "
+                "the dissimilarity itself every slope and every correlation has the opposite sign. The other "
+                f"{n - turned} (two reductions, identical pairs, anchors) enter none of them. {SPACE}"
+            )
 
 
 def note_gains(rows: DataFrame) -> Iterator[str]:

@@ -10,43 +10,43 @@ each such factor. Its columns become columns of the judgements; no test compares
 
 Any numeric column of the manifest is a metric (`feel321.analysis.table.metrics`). Further metrics are the rotation
 statistics of the metrics, the metrics of signals as they were delivered, and counterparts that no orientation of the
-sensor changes. A stimulus has them
-from the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored, so no primary
-analysis and no correction for several tests holds them, unless the analysis declares them as its metrics.
+sensor changes. A stimulus has them from the manifest, from the ratings (the mean over its judgements), or from the
+caller. They are explored, so no primary analysis and no correction for several tests holds them, unless the analysis
+declares them as its metrics.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import notes as remarks
-from feel321.analysis.table import roster, schema
-from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table
-from feel321.analysis.table.sheets import (
-    Further,
-    Source,
-    open_source,
-    read_info,
-    read_manifest,
-    read_ratings,
-)
-from feel321.doors import as_path, describe
+from feel321.analysis.table import schema
+from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
+from feel321.doors import as_names, as_path, describe
 from feel321.names import REDUCER_NAMES
 from feel321.types import MetricInfo, PathLike
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-__all__ = ["Further", "Table", "read_table"]
-
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
+
+ROSTER_FILE = "participants.csv"
+RIG = {"rig": "rig", "calibration": "certificate of calibration"}
+"""Columns on what the participants felt the stimuli on, and what they are in words."""
+
+ROSTER = frozenset({
+    "number", "simulated", "state", "sessions", "done", "total", "first_utc", "last_utc", "training_passed", *RIG,
+})  # fmt: skip
+"""Columns on the progress of a participant; all others, but for the participant's name, are labels."""
 
 ECHOED = ("recording", "reducer", "level")
 """Columns that both files may hold and must then agree on."""
@@ -57,8 +57,37 @@ OPTIONAL = (
 )  # fmt: skip
 """Columns that judgements keep where there are any."""
 
+JUDGEMENT = (
+    "participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id", OTHER,
+)  # fmt: skip
+"""What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
+repeats are counted instead, so does what it was judged against."""
+
 SURFACED, UNLISTED = "the real surface", "what the manifest does not list"
 FOREIGN = "a stimulus of another recording"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Further:
+    """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed.
+
+    rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
+    mountings: recording, reducer and metric with mean and quantiles over orientations of the sensor, if computed.
+    labels: interaction and sample of each recording, by its name, where the manifest does not say them.
+    """
+
+    metrics: DataFrame
+    notes: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
+    mountings: DataFrame | None = None
+    labels: DataFrame | None = None
+
+
+class Source(NamedTuple):
+    """A table's file, or the table in memory, and what messages call it."""
+
+    given: Path | DataFrame
+    what: str
 
 
 def read_table(
@@ -109,85 +138,74 @@ def read_table(
     """
     if manifest is None:
         ratings, manifest = find_tables(ratings)
-    judged, listed = open_source(ratings, "ratings"), open_source(manifest, "manifest")
-    rivals = further.rivals if further else ()
-    stimuli, planned, notes = read_manifest(listed, metrics, sources=sources, further=further)
-    known, beyond = read_info(stimuli, info, listed, names=(*planned, *rivals))
-    stimuli = _label(stimuli, further.labels if further else None).set_index(STIMULUS)
+    judged, listed = _open_source(ratings, "ratings"), _open_source(manifest, "manifest")
+    given = further or Further(_make_empty())
+    stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources or {}, given=given)
+    names = dict.fromkeys([*planned, *given.rivals, *metrics_of.describe_explored(())])
+    held = [name for name in names if name in stimuli or name in {*planned, *given.rivals}]
+    known, stated = metrics_of.gather_info(held, info, listed.given)
+    notes += metrics_of.refuse_unbounded(stimuli, listed.what, info=known, stated=stated)
+    for name in schema.LABELS:
+        if given.labels is not None and name in given.labels and name not in stimuli:
+            of_recording = stimuli["recording"].map(given.labels[name])
+            stimuli[name] = of_recording.fillna("").astype(str)
+    stimuli = stimuli.set_index(STIMULUS)
     rows, more_notes = read_ratings(*judged)
     _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
-    stimuli, joined = _join_further(stimuli, rows, further, names=(judged.what, listed.what))
+    stimuli, joined = _join_further(stimuli, rows, given, names=(judged.what, listed.what))
+    notes += [*given.notes, *joined, *more_notes]
     rows = _turn_pairs(rows, stimuli, judged.what)
     rows = rows.drop(columns=[name for name in rows if name in stimuli]).join(stimuli, on=STIMULUS)
     rows[ROLE] = _find_roles(rows, stimuli)
-    rows["matched"] = _find_references(rows, stimuli).isin(["", SURFACED, UNLISTED])
+    references = _find_references(rows, stimuli)
+    rows["matched"] = references.isin(["", SURFACED, UNLISTED])
     rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
-    notes += [*beyond, *joined, *more_notes, *_note_rows(rows, stimuli, planned)]
-    rows, explored, compared, lacking = _select_columns(rows, planned, rivals, given=further)
-    rows, more_notes = roster.join_labels(rows, judged.given)
-    rows, on_rigs = roster.join_rigs(rows, judged.given)
-    notes += [*lacking, *more_notes, *on_rigs]
-    listing = _list_stimuli(stimuli, rows, listed, metrics=[*planned, *explored, *compared])
-    return Table(rows, planned, tuple(notes), explored, compared, known, listing)
+    notes += remarks.note_gaps(rows, stimuli, planned)
+    notes += _note_references(rows, references)
+    notes += [*remarks.note_sources(rows), *remarks.note_lookalikes(rows)]
+    sheets = judged, listed
+    return _make_table(rows, stimuli, planned, sheets=sheets, given=given, info=known, notes=notes)
 
 
-def _list_stimuli(
-    stimuli: DataFrame, rows: DataFrame, listed: Source, *, metrics: Sequence[str]
-) -> DataFrame:
-    """List the stimuli with their metrics; where pairs were compared, with every number that the manifest has."""
-    labels = [name for name in schema.LABELS if name in stimuli]
-    sheet = stimuli[["source", *ECHOED, ROLE, *dict.fromkeys(metrics), *labels]]
-    if (rows["scale"] == schema.PAIRED).any():
-        more = metrics_of.read_attributes(listed.given)
-        sheet = sheet.join(more[[name for name in more if name not in sheet]])
-    return sheet
+def _make_empty() -> DataFrame:
+    from pandas import DataFrame
+
+    return DataFrame()
 
 
-def _note_rows(rows: DataFrame, stimuli: DataFrame, planned: Sequence[str]) -> Iterator[str]:
-    """Say what ratings lack, and what about them is odd."""
-    yield from remarks.note_gaps(rows, stimuli)
-    yield from _note_references(rows, stimuli)
-    yield from remarks.note_sources(rows)
-    yield from remarks.note_lookalikes(rows)
-    yield from remarks.note_lacking(rows, planned)
-
-
-def _label(manifest: DataFrame, labels: DataFrame | None) -> DataFrame:
-    """Give every stimulus the interaction and sample of its recording, where the manifest has none."""
-    given = (
-        {} if labels is None else {name: labels[name] for name in schema.LABELS if name in labels}
-    )
-    for name, said in given.items():
-        if name not in manifest:
-            manifest[name] = manifest["recording"].map(said).fillna("").astype(str)
-    return manifest
-
-
-def _select_columns(
-    rows: DataFrame, planned: Sequence[str], rivals: Sequence[str], *, given: Further | None
-) -> tuple[DataFrame, tuple[str, ...], tuple[str, ...], list[str]]:
-    """Select the columns of a table; also the metrics that are explored and compared, and notes."""
+def _make_table(  # noqa: PLR0913 - what was read, and from where
+    rows: DataFrame, stimuli: DataFrame, planned: tuple[str, ...], *, sheets: tuple[Source, Source], given: Further,
+    info: Mapping[str, MetricInfo], notes: list[str],
+) -> Table:  # fmt: skip
+    """Select the columns of a table, find the metrics that are explored and compared, and join labels."""
     tests = rows[rows[ROLE] == TEST]
-    _refuse_lacking(tests, planned, given)
+    for name in (name for name in planned if name in given.metrics):
+        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
+        if len(lacking):
+            raise ValueError(
+                f"metrics: got {name!r}, which {len(lacking)} rated test stimuli lack, first "
+                f"{schema.shorten(str(lacking[0]))}; name another metric, or leave them out. {' '.join(given.notes)}"
+            )
     known = [name for name in metrics_of.describe_explored(planned) if name in tests]
     explored = tuple(name for name in known if tests[name].notna().all())
-    compared, lacking = _leave_incomplete(tests, [*planned, *rivals] if rivals else ())
+    rivals = dict.fromkeys([*planned, *given.rivals] if given.rivals else ())
+    compared = tuple(name for name in rivals if tests[name].notna().all())
+    if bare := [name for name in rivals if name not in compared]:
+        notes.append(f"Not compared, because some rated test stimuli have no value: {', '.join(bare)}.")  # fmt: skip
+    metrics = list(dict.fromkeys([*planned, *explored, *compared]))
     selected = rows[[
         "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
         "scale", "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
-        *dict.fromkeys([*planned, *explored, *compared]),
-    ]]  # fmt: skip
-    return selected.reset_index(drop=True), explored, compared, lacking
-
-
-def _leave_incomplete(tests: DataFrame, rivals: Sequence[str]) -> tuple[tuple[str, ...], list[str]]:
-    """Leave out rivals that some rated test stimulus has no value of: on other stimuli they are not comparable."""
-    rivals = tuple(dict.fromkeys(rivals))
-    bare = [name for name in rivals if tests[name].isna().any()]
-    if not bare:
-        return rivals, []
-    note = f"Not compared, because some rated test stimuli have no value: {', '.join(bare)}."
-    return tuple(name for name in rivals if name not in bare), [note]
+        *metrics,
+    ]].reset_index(drop=True)  # fmt: skip
+    selected, more_notes = _join_roster(selected, sheets[0].given)
+    labels = [name for name in schema.LABELS if name in stimuli]
+    sheet = stimuli[["source", *ECHOED, ROLE, *metrics, *labels]]
+    if (rows["scale"] == schema.PAIRED).any():
+        more = metrics_of.read_attributes(sheets[1].given)
+        sheet = sheet.join(more[[name for name in more if name not in sheet]])
+    told = (*notes, *more_notes)
+    return Table(selected, planned, told, explored, compared, info, sheet)
 
 
 def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
@@ -208,6 +226,183 @@ def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
     )
 
 
+def _open_source(given: PathLike | DataFrame, what: str) -> Source:
+    from pandas import DataFrame
+
+    if isinstance(given, DataFrame):
+        return Source(given, what)
+    path = as_path(given, what)
+    return Source(path, path.name)
+
+
+# `ratings.csv`, from feel321 or from elsewhere.
+
+
+def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[str]]:
+    """Read every judgement that counts."""
+    further = dict.fromkeys(metrics_of.describe_further(), schema.ColumnInfo("metric"))
+    columns = {**schema.RATINGS, **further}
+    sheet, notes = schema.read_sheet(source, what, columns)
+    schema.read_column(sheet, "rejected", what, kind="flag")
+    left, left_out = leave_rejected(sheet, what=what)  # which needs no rating
+    notes += left_out
+    if lost := sorted(set(sheet["participant"]) - set(left["participant"])):
+        names = remarks.list_names(lost)
+        notes.append(f"Participants without a valid judgement, who do not count: {names}.")
+    sheet = left.copy()
+    for name in [str(name) for name in sheet if name != "rejected"]:
+        schema.read_column(sheet, name, what, kind=columns[name].kind)
+    sheet = _leave_simulated(sheet, what, notes)
+    for name in ("reference_id", OTHER):
+        if name not in sheet:
+            sheet[name] = ""
+    _check_answers(sheet, what)
+    notes += [*_check_doubles(sheet, what), *remarks.note_scales(sheet)]
+    if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
+        notes.append(
+            f"{len(broken)} judgements of {broken.nunique()} participants were made on an interrupted playback "
+            "(underruns): they count; mark them as rejected to leave them out."
+        )
+    if "repeat" not in sheet:
+        alike = ["participant", STIMULUS, "reference_id", OTHER, "scale"]
+        sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
+    return sheet, notes
+
+
+def _check_answers(sheet: DataFrame, what: str) -> None:
+    """Refuse answers neither right nor wrong, choices without a winner or a second stimulus, and a second elsewhere."""
+    is_choice, scales = sheet["scale"].isin(schema.CHOSEN), " or ".join(map(repr, schema.CHOSEN))
+    unclear = ~sheet["rating"].isin([schema.LOWEST, schema.HIGHEST])
+    same = (sheet[OTHER] == "") | (sheet[OTHER] == sheet[STIMULUS])
+    is_answer = sheet["scale"] == schema.ANSWERED
+    rules = (
+        ("rating", is_answer & unclear, f"be 100 (right) or 0 (wrong) on scale '{schema.ANSWERED}'"),
+        ("rating", is_choice & unclear, f"be 100 (stimulus_id was chosen) or 0 ({OTHER} was chosen) on scale {scales}"),
+        (OTHER, is_choice & same, f"name the second of the two stimuli on scale {scales}"),
+        (OTHER, ~is_choice & (sheet[OTHER] != ""), f"be empty but on scale {scales}"),
+    )  # fmt: skip
+    for name, bad, must in rules:
+        schema.refuse_lines(sheet.loc[bad, name], what, must=must)
+
+
+def _leave_simulated(sheet: DataFrame, what: str, notes: list[str]) -> DataFrame:
+    if "simulated" not in sheet:
+        return sheet.assign(simulated=False)
+    simulated, who = sheet["simulated"], sheet["participant"]
+    both = who[simulated & who.isin(who[~simulated])]
+    schema.refuse_lines(both, what, must="be simulated in all of its lines or in none")
+    if simulated.all() or not simulated.any():
+        return sheet
+    notes.append(
+        f"{int(simulated.sum())} judgements of {who[simulated].nunique()} simulated participants are left out, because "
+        "people rated too; to analyse them, bring a table of them alone."
+    )
+    return sheet[~simulated].copy()
+
+
+def _check_doubles(sheet: DataFrame, what: str) -> Iterator[str]:
+    """Refuse what occurs twice: a trial names a judgement; without trials its repeat does."""
+    counted = next((name for name in ("trial", "repeat") if name in sheet), None)
+    if not counted:
+        repeats = "rows alike in participant, stimulus, reference and scale are taken as repeats"
+        yield f"{what} has nothing in a column 'trial' or 'repeat': {repeats}."
+        return
+    key = [name for name in (*JUDGEMENT, counted) if name in sheet]
+    doubled = sheet.loc[sheet.duplicated(key), counted]
+    must = f"occur once with the same {', '.join(key[:-1])}"
+    schema.refuse_lines(doubled, what, must=must, do="keep one of the lines")
+    if {"trial", "repeat"} <= {*sheet}:
+        count = int(sheet.duplicated([*key[:-1], "repeat"]).sum())
+        if count:
+            yield (
+                f"{count} judgements differ from an earlier one in their trial only: each counts as a further repeat."
+            )
+
+
+# `manifest.csv`: what every stimulus is, and how well it matches its recording.
+
+
+def _read_manifest(
+    source: Source, metrics: Sequence[str] | None, *, sources: Mapping[str, str], given: Further
+) -> tuple[DataFrame, tuple[str, ...], list[str]]:
+    """Read the manifest's columns that an analysis needs; also the planned metrics, and notes."""
+    metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
+    columns = metrics_of.describe_manifest([*(metrics or schema.PLANNED), *given.rivals])
+    sheet, notes = schema.read_sheet(*source, columns)
+    planned, lacking = _choose_metrics(sheet, metrics, source, more=list(map(str, given.metrics)))
+    notes += lacking
+    for name, value in (("level", "as_is"), (ROLE, TEST)):
+        if name not in sheet:
+            sheet[name] = value
+            notes.append(
+                f"{what} has nothing in a column '{name}': every stimulus is taken as '{value}'."
+            )
+    for name in (*schema.IDENTITY, "level"):
+        schema.read_column(sheet, name, what, kind="name")
+    strange = sheet.loc[~sheet[ROLE].isin(schema.ROLES), ROLE]
+    schema.refuse_lines(strange, what, must=f"be one of {', '.join(schema.ROLES)}")
+    schema.refuse_doubled(sheet, STIMULUS, what)
+    wanted = {*planned, *metrics_of.describe_further()}
+    for name in dict.fromkeys([*planned, *given.rivals, *metrics_of.describe_explored(planned)]):
+        # The reference need not have a metric: it is what the others are matched against.
+        if name in sheet and name in wanted:
+            bare = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
+            do = "correct it or leave the row out"
+            schema.refuse_lines(bare, what, must="be a finite number", do=do)
+        schema.read_column(sheet, name, what, kind="metric")
+    for name in set(schema.FACTS) - {*planned, *given.rivals}:
+        schema.read_column(sheet, name, what, kind=columns[name].kind)
+    if "source" in sheet:
+        found = sheet["source"].mask(sheet["source"] == "", sheet["recording"])
+        other = found[found != found.groupby(sheet["recording"]).transform("first")]
+        do = "an earlier line of its recording has another"
+        schema.refuse_lines(other, what, must="be one per recording", do=do)
+        sheet["source"] = found
+    else:
+        sheet["source"] = sheet["recording"].map(lambda name: sources.get(name, name))
+    notes += remarks.note_stimuli(sheet)
+    return sheet, planned, notes
+
+
+def _choose_metrics(
+    sheet: DataFrame, metrics: Sequence[str] | None, source: Source, *, more: Sequence[str]
+) -> tuple[tuple[str, ...], list[str]]:
+    """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
+    if metrics is not None and tuple(metrics) != schema.PLANNED:
+        if not metrics or len(set(metrics)) < len(metrics):
+            got = ", ".join(metrics) or "none"
+            raise ValueError(f"metrics must be one name or more, each once, got {got}")
+        numeric = metrics_of.list_numeric(sheet)
+        for name in (name for name in metrics if name not in more and name not in numeric):
+            instead, why = schema.STAND_INS.get(name), ""
+            if instead in sheet:
+                why = f" (build the set again, or use {instead})"
+            elif name in metrics_of.ROTATIONS:
+                why = " (feel321 analyze computes it in a study, from the recordings that its set was built from)"
+            lacks = "no numbers in column" if name in sheet else "no column"
+            raise ValueError(
+                f"{source.what}: got {lacks} {schema.shorten(name)} as a metric{why}; {_list_numeric(source.given)}"
+            )
+        return tuple(metrics), []
+    found = [name if name in sheet else schema.STAND_INS.get(name, name) for name in schema.PLANNED]
+    if not any(name in sheet for name in found):
+        raise ValueError(
+            f"{source.what}: got no metric; at least one of the columns {', '.join(schema.PLANNED)} is needed, or a "
+            f"metric of your own by its name (--metric); {_list_numeric(source.given)}"
+        )
+    return tuple(name for name in found if name in sheet), [
+        f"{source.what} has nothing in a column '{name}', so that metric is not reported."
+        for name in found
+        if name not in sheet
+    ]
+
+
+def _list_numeric(source: Path | DataFrame) -> str:
+    """List what may be used as a metric, of all columns of the table."""
+    names = metrics_of.list_numeric(schema.read_cells(source))
+    return f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
+
+
 # What was judged against what, and what of it the metrics describe.
 
 
@@ -215,12 +410,11 @@ def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str,
     what, listed = names
     must, do = f"be a stimulus of {listed}", "is it the manifest of these stimuli?"
     for name in (STIMULUS, OTHER):
-        strangers = ratings.loc[
-            ~ratings[name].isin([*manifest.index, *[""] * (name == OTHER)]), name
-        ]
+        known = [*manifest.index, *[""] * (name == OTHER)]
+        strangers = ratings.loc[~ratings[name].isin(known), name]
         schema.refuse_lines(strangers, what, must=must, do=do)
-    arms = (ratings[name].map(manifest["recording"]) for name in (STIMULUS, OTHER))
-    foreign = ratings.loc[(ratings[OTHER] != "") & (next(arms) != next(arms)), OTHER]
+    one, other = (ratings[name].map(manifest["recording"]) for name in (STIMULUS, OTHER))
+    foreign = ratings.loc[(ratings[OTHER] != "") & (one != other), OTHER]
     schema.refuse_lines(foreign, what, must="be of the same recording as stimulus_id")
     for name in [name for name in ECHOED if name in ratings]:
         of_stimulus = ratings[STIMULUS].map(manifest[name])
@@ -249,9 +443,8 @@ def _find_roles(rows: DataFrame, manifest: DataFrame) -> Series:
     is_choice = rows["scale"].isin(schema.CHOSEN)
     roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
     is_pair = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "") & ~is_same
-    return roles.mask(
-        is_choice | is_pair & (rows["reference_id"].map(manifest[ROLE]) != "reference"), schema.PAIR
-    )
+    is_pair &= rows["reference_id"].map(manifest[ROLE]) != "reference"
+    return roles.mask(is_choice | is_pair, schema.PAIR)
 
 
 def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
@@ -271,13 +464,13 @@ def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
     return rows["reference_id"].map(known).mask(is_foreign, FOREIGN)
 
 
-def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
+def _note_references(rows: DataFrame, references: Series) -> Iterator[str]:
     """Say which judgements had another reference than the metrics have, or none that is known."""
     nameless = int(((rows["scale"] == schema.PAIRED) & (rows["reference_id"] == "")).sum())
     if nameless:
         which = f"{nameless} judgements of scale '{schema.PAIRED}'"
         yield f"{which} name no reference_id: they are taken as from the reference."
-    known = rows.assign(reference=_find_references(rows, manifest))
+    known = rows.assign(reference=references)
     known = known[(known[ROLE] != schema.PAIR) & (known["reference"] != "")]
     for (scale, reference), part in known.groupby(["scale", "reference"]):
         against = f"{len(part)} judgements were made against {reference}"
@@ -288,55 +481,64 @@ def _note_references(rows: DataFrame, manifest: DataFrame) -> Iterator[str]:
             yield from remarks.note_gains(part)
 
 
-# Further metrics.
+# Further metrics, and labels of the participants.
 
 
 def _join_further(
-    manifest: DataFrame, ratings: DataFrame, given: Further | None, *, names: tuple[str, str]
+    manifest: DataFrame, ratings: DataFrame, given: Further, *, names: tuple[str, str]
 ) -> tuple[DataFrame, list[str]]:
     """Give every stimulus the further metrics that there are."""
+    allowed = [*metrics_of.describe_further(), *given.rivals]
     judged = [name for name in metrics_of.describe_further() if name in ratings]
-    parts = (
-        [(ratings.groupby(STIMULUS)[judged].mean(), " and ".join(names[::-1]))] if judged else []
-    )
-    if given is not None:
-        _check_given(given)
-        parts.append((given.metrics, "the files and the further metrics given"))
-    for more, where in parts:
+    for name in given.metrics:
+        if name not in allowed:
+            raise ValueError(
+                f"further metrics must be of the columns {', '.join(allowed)}, got column {name!r}"
+            )
+        if not ~(np.abs(given.metrics[name].to_numpy(np.float64)) > schema.LARGEST).any():
+            raise ValueError(
+                f"further metrics must be finite, got infinite or huge values of '{name}'"
+            )
+    if not given.metrics.index.is_unique:
+        raise ValueError("further metrics must have one row per stimulus_id, got a stimulus twice")
+    means = ratings.groupby(STIMULUS)[judged].mean() if judged else _make_empty()
+    for more, where in (
+        (means, " and ".join(names[::-1])),
+        (given.metrics, "the files and the further metrics given"),
+    ):
         if doubled := [str(name) for name in more if name in manifest]:
             raise ValueError(
                 f"{where}: got '{doubled[0]}' in both; keep one, or a stimulus would have two values of it"
             )
         manifest = manifest.join(more)
     mean = f"in {names[0]} it is given per judgement; a stimulus has the mean over its judgements that hold it"
-    return manifest, [*(given.notes if given else ()), *(f"'{name}': {mean}." for name in judged)]
+    return manifest, [f"'{name}': {mean}." for name in judged]
 
 
-def _refuse_lacking(tests: DataFrame, planned: Sequence[str], given: Further | None) -> None:
-    """Refuse a planned metric that some rated test stimulus lacks, with what is known of the reason."""
-    if given is None:
-        return
-    for name in (name for name in planned if name in given.metrics):
-        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
-        if len(lacking):
-            why = " ".join(given.notes)
-            raise ValueError(
-                f"metrics: got {name!r}, which {len(lacking)} rated test stimuli lack, first "
-                f"{schema.shorten(str(lacking[0]))}; name another metric, or leave them out. {why}".rstrip()
-            )
-
-
-def _check_given(given: Further) -> None:
-    metrics, allowed = given.metrics, [*metrics_of.describe_further(), *given.rivals]
-    for name in metrics:
-        if name not in allowed:
-            raise ValueError(
-                f"further metrics must be of the columns {', '.join(allowed)}, got column {name!r}"
-            )
-        values = metrics[name].to_numpy(np.float64)
-        if not (np.isnan(values) | (np.abs(values) <= schema.LARGEST)).all():
-            raise ValueError(
-                f"further metrics must be finite, got infinite or huge values of '{name}'"
-            )
-    if not metrics.index.is_unique:
-        raise ValueError("further metrics must have one row per stimulus_id, got a stimulus twice")
+def _join_roster(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
+    """Add labels of the participants, and rigs where they differ, from the table beside the ratings."""
+    path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
+    if path is None or not path.is_file():
+        return rows, []
+    header, known = schema.read_header(path), {*rows, "participant"}
+    labels = [name for name in header if name and name not in ROSTER | known]
+    rigs = [name for name in RIG if name in header]
+    columns = {"participant": schema.NEEDED} | dict.fromkeys([*labels, *rigs], schema.TEXT)
+    sheet, _ = schema.read_sheet(
+        path, path.name, columns
+    )  # without columns that are empty throughout
+    schema.refuse_doubled(sheet, "participant", path.name)
+    sheet = sheet[sheet["participant"].isin(rows["participant"])].set_index("participant")
+    notes = []
+    for name in map(str, sheet):
+        rows = rows.join(sheet[name], on="participant").fillna({name: ""})
+        sizes = rows.groupby(name)["participant"].nunique().to_dict()
+        if name in RIG and len(sizes) == 1:
+            rows = rows.drop(columns=name)
+            continue
+        write = str if name in RIG else schema.shorten
+        told = ", ".join(f"{write(str(key)) if key else 'unknown'} {n}" for key, n in sizes.items())
+        what = RIG.get(name, schema.shorten(name))
+        then = "see Robustness to other choices" if name in RIG else "no test compares them"
+        notes.append(f"Participants differ in {what} ({ROSTER_FILE}; participants: {told}): {then}.")  # fmt: skip
+    return rows, notes

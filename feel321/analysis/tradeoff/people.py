@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.contrasts.compare import equivalence
 from feel321.analysis.mixed.model import contrast, fit_mixed
-from feel321.analysis.report.parts import split_arms
+from feel321.analysis.table.items import split_arms
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -39,8 +39,9 @@ def compare_rated(ratings: Table | DataFrame | None, *, margin: float | None = N
     if margin is not None and not (isfinite(margin) and margin > 0):
         raise ValueError(f"margin must be a number of points above 0, got {margin:g}")
     if rows is not None and margin is not None:
-        for _, _, part in split_arms(rows):
-            for recording, own in part.groupby(part["recording"].astype(str), sort=False):
+        for part in split_arms(rows):
+            scenes = part.rows["recording"].astype(str)
+            for recording, own in part.rows.groupby(scenes, sort=False):
                 found += [{"recording": str(recording), **one} for one in _compare(own, margin)]
     frame = pd.DataFrame(found, columns=list(COLUMNS))
     place = frame["agree"].map({name: number for number, name in enumerate(FAVOUR)})
@@ -52,8 +53,13 @@ def compare_rated(ratings: Table | DataFrame | None, *, margin: float | None = N
 def read_ratings(ratings: Table | DataFrame) -> DataFrame:
     """Take ratings of test stimuli; of a data frame every row is one, and nobody simulated, if not said."""
     from feel321.analysis.arrays import check_columns
-    from feel321.analysis.report.parts import select_tests
-    from feel321.analysis.table.items import Table, leave_rejected, name_items, open_ratings
+    from feel321.analysis.table.items import (
+        Table,
+        leave_rejected,
+        name_items,
+        open_ratings,
+        select_tests,
+    )
 
     if isinstance(ratings, Table):
         return select_tests(ratings)

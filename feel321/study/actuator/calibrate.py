@@ -1,136 +1,67 @@
-"""Calibration of a rig: sweeps and noise on each coil, through the output that sessions use, recorded by its sensor.
+"""Calibration of a rig: sweeps on each coil, through the output that sessions use, recorded by its sensor.
 
-Each coil begins with a quiet sweep. What it makes of that decides how loud the next ones may be, so that neither the
-rig's limits nor the sensor's full scale is passed; then levels rise, and the loudest sweep is the measurement. A coil
-is measured, its filter is designed from what was measured, and both are verified by playing through the filter.
+Each coil begins with a quiet sweep. What it makes of that decides how strong the next ones may be, so that neither the
+rig's limits nor the sensor's full scale is passed; the strongest one is the measurement. What was measured is stored
+coil by coil; from it the filters are designed, as often as one likes, and verified by playing through them.
 """
 
+import io
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
-from datetime import datetime
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
+from datetime import datetime, timedelta
+from pathlib import Path
 from typing import cast
 
 import numpy as np
 from scipy import fft
 
-from feel321.study.actuator.bench import ALIVE, Bench, OnStep, average_thirds, find_slip, open_bench
+from feel321.files import make_folder, write_bytes
 from feel321.study.actuator.certificate import (
+    DAMAGED,
+    FOLDER,
     MEASURED,
-    TYPED,
-    BudgetTerm,
     Certificate,
     CoilCertificate,
     begin_certificate,
+    read_certificate,
 )
+from feel321.study.actuator.output import Bench, OnStep, open_bench
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import (
     ABOVE,
+    ALIVE,
     BELOW,
+    DB,
+    Band,
     Phase,
     Response,
-    Spectrum,
     Sweep,
+    average_thirds,
     find_inside,
     find_ramp,
+    find_slip,
     make_inverse,
     make_sweep,
-    measure_response,
     measure_sweep,
 )
-from feel321.study.actuator.rig import STANDARD_GRAVITY, ActuatorTable, Rig, require_sensor
+from feel321.study.actuator.rig import ActuatorTable, Rig, digest, require_sensor
 from feel321.types import Samples
 
 PROBE = 0.1  # of the level that limits allow: the first sweep of a coil
 LADDER = (0.125, 0.25, 0.5)  # of the loudest sweep, before it
 MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
 RINGING = 0.01  # of the RMS of a sweep: what may be left at the end of its pause
-CREST = 4.0  # peak of the noise over its RMS
 MOST_TURNED_DEG = 30.0  # from the direction in rig.toml
 SILENCE_S = 0.5
-TILTED = 0.1  # of the change along a sensor's axis: so much may come across it
-SLIGHT = 0.001  # of the sensor's full scale: less is no gravity
 TAPS_PERIODS = 12.0  # of the band's lowest frequency: the length of a filter
 STEP_HZ = 0.5  # of the frequencies in a certificate
-DB = 20 / math.log(10)
-
-
-def calibrate_rig(
-    rig: Rig,
-    *,
-    rate_hz: float,
-    made: datetime,
-    on_step: OnStep | None = None,
-    is_stopping: Callable[[], bool] = lambda: False,
-) -> Certificate:
-    """Measure the coils of a rig, make their filters, and verify them by playing through them."""
-    require_sensor(rig)
-    main, quiet = make_main(rig, rate_hz=rate_hz), make_quiet(rig, rate_hz=rate_hz)
-    n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
-    n_noise, n_coils = _count_noise(main), len(rig.actuators)
-    n_all = 2 * n_main + (1 + len(LADDER)) * n_quiet + n_noise + n_quiet
-    opened = open_bench(
-        rig,
-        rate_hz=rate_hz,
-        n_longest=max(n_main, n_noise, n_coils * n_quiet),
-        n_all=n_coils * n_all + round(SILENCE_S * rate_hz),
-        on_step=on_step,
-        is_stopping=is_stopping,
-    )
-    coils: dict[str, CoilCertificate] = {}
-    with opened as bench:
-        silence = np.zeros(round(SILENCE_S * rate_hz))
-        noise = bench.play(silence, rig.actuators[0].channel).std(axis=1)
-        for actuator in rig.actuators:
-            try:
-                run = measure_coil(bench, actuator)
-                coil = design_coil(rig, run, noise_m_s2=float(np.linalg.norm(noise)))
-                coils[actuator.name] = verify_coil(bench, coil, run)
-            except ValueError as error:
-                raise ValueError(f"coil {actuator.name!r}: {error}") from None
-        latencies = measure_latencies(bench, coils)
-    for name, coil in coils.items():
-        shares = {
-            other.name: abs(float(coil.direction @ other.direction))
-            for other in coils.values()
-            if other.name != name
-        }
-        onto_db = {other: DB * math.log(max(share, 1e-6)) for other, share in shares.items()}
-        coils[name] = replace(coil, latency=latencies[name], onto_db=onto_db)
-    certificate = begin_certificate(rig, coils, method=MEASURED, made=made, rate_hz=rate_hz)
-    failures = [line for coil in coils.values() for line in find_failures(rig, coil)]
-    return replace(certificate, failures=tuple(failures))
-
-
-# Gravity, by which the scale of a sensor can be found.
-
-
-def measure_rest(rig: Rig, *, rate_hz: float) -> Samples:
-    """Measure the mean of each axis of the sensor while nothing plays, shape (axes,) in m/s²."""
-    n = round(SILENCE_S * rate_hz)
-    with open_bench(rig, rate_hz=rate_hz, n_longest=n) as bench:
-        rest: Samples = bench.play(np.zeros(n), rig.actuators[0].channel).mean(axis=1)
-        return rest
-
-
-def scale_by_flip(up: Samples, down: Samples, *, full_scale_m_s2: float) -> float:
-    """Find a sensor's full scale in m/s² from its rest with an axis up and down, shape (axes,) each.
-
-    Gravity is once with the axis and once against it: half of the difference is 1 g, whatever the offset.
-    """
-    halves = np.sort(np.abs(up - down)) / 2
-    half = float(halves[-1])
-    if half < SLIGHT * full_scale_m_s2:
-        raise ValueError(
-            f"got a difference of {2 * half:.3g} m/s², expected about {2 * STANDARD_GRAVITY:.3g}; the sensor or its "
-            "input does not pass gravity (AC-coupled): take the scale from its data sheet"
-        )
-    if (across := float(np.linalg.norm(halves[:-1]))) > TILTED * half:
-        raise ValueError(
-            f"got a difference of {2 * across:.3g} m/s² across the axis, expected at most {TILTED:.0%} of "
-            f"the {2 * half:.3g} along it; turn the sensor by exactly half a turn, with one axis upright"
-        )
-    return full_scale_m_s2 * STANDARD_GRAVITY / half
+MOST_GAIN_DB = 50.0  # of a filter that is proposed; beyond, the band is narrowed
+SPARE_DB = 1.0  # by which a proposed gain exceeds what the response asks for
+KEPT = timedelta(
+    days=1
+)  # for so long the coils of a calibration that was broken off need not be measured again
 
 
 # What is played.
@@ -155,23 +86,6 @@ def make_quiet(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
     return replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
 
 
-def make_noise(sweep: Sweep) -> Samples:
-    """Make noise in the band of a sweep, with the same peak, shape (n,), silent at its end as sweeps are."""
-    n_pause, n = round(sweep.pause_s * sweep.rate_hz), _count_noise(sweep)
-    rng = np.random.default_rng(1)
-    spectrum = fft.rfft(rng.standard_normal(n - n_pause))
-    grid_hz = fft.rfftfreq(n - n_pause, 1 / sweep.rate_hz)
-    noise = fft.irfft(spectrum * find_inside(grid_hz, band_hz=sweep.ends_hz), n - n_pause)
-    noise *= np.minimum(1, np.arange(len(noise)) / (0.05 * sweep.rate_hz))  # it ramps up
-    noise *= np.minimum(1, np.arange(len(noise))[::-1] / (0.05 * sweep.rate_hz))
-    noise = np.clip(noise / noise.std(), -CREST, CREST) * sweep.peak / CREST
-    return np.concatenate([noise, np.zeros(n_pause)])
-
-
-def _count_noise(sweep: Sweep) -> int:
-    return round((sweep.duration_s + sweep.pause_s) * sweep.rate_hz)
-
-
 def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
     """Find the largest peak of a sine, as a part of full scale, that the mixer lets pass."""
     limits = min(rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2)
@@ -194,23 +108,20 @@ def find_safe(rig: Rig, probe: Response) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoilRun:
-    """What was measured of one coil: with a quiet, a middle and a loud sweep, with noise, and by repetition."""
+    """What was measured of one coil: its response, its gain by level, and how well equal ones agree.
 
-    actuator: ActuatorTable
+    repeats_db: between equal sweeps; noise_m_s2: RMS while nothing plays.
+    """
+
     main: Response
-    ladder: Mapping[float, Response]
-    noise: Response
+    levels: Samples
+    linearity_db: Samples
     repeats_db: float
-
-    @property
-    def linearity_db(self) -> Samples:
-        """How much the gain at each level differs from that at the lowest: the median over third octaves."""
-        lowest = self.ladder[min(self.ladder)]
-        return np.array([np.median(_compare_db(one, lowest)) for one in self.ladder.values()])
+    noise_m_s2: float
 
 
-def measure_coil(bench: Bench, actuator: ActuatorTable) -> CoilRun:
-    """Play sweeps of rising level, and noise, on one coil."""
+def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float) -> CoilRun:
+    """Play sweeps of rising level on one coil."""
     rig, rate_hz, channel = bench.rig, bench.rate_hz, actuator.channel
     level = rig.calibration.level * find_allowed(rig, actuator)
 
@@ -221,61 +132,83 @@ def measure_coil(bench: Bench, actuator: ActuatorTable) -> CoilRun:
     probe, _ = sweep(make_quiet(rig, rate_hz=rate_hz, peak=PROBE * level))
     _check_alive(probe, pause_s=rig.calibration.pause_s)
     top = min(level, find_safe(rig, probe))
-    ladder = {
-        share * top: sweep(make_quiet(rig, rate_hz=rate_hz, peak=share * top))[0]
-        for share in LADDER
-    }
+    levels = [share * top for share in LADDER]
+    ladder = [sweep(make_quiet(rig, rate_hz=rate_hz, peak=peak))[0] for peak in levels]
     loud = make_main(rig, rate_hz=rate_hz, peak=top)
     main, recorded = sweep(loud)
     _check_ringing(recorded, period=loud.period, pause_s=loud.pause_s)
-    # How much the level differs between equal sweeps: the median over third octaves.
     along = (main.direction @ recorded).reshape(loud.n_repeats, loud.period)
-    frequency_hz = fft.rfftfreq(loud.period, 1 / rate_hz)
     energy = np.abs(fft.rfft(along)) ** 2
-    levels_db = 10 * np.log10(average_thirds(energy, frequency_hz, band_hz=loud.band_hz))
-    noise = make_noise(loud)
-    measured = measure_response(
-        noise,
-        bench.play(noise, channel),
-        rate_hz=rate_hz,
-        band_hz=loud.band_hz,
-        segment=len(noise) // 8,
-    )
+    at_hz = fft.rfftfreq(loud.period, 1 / rate_hz)
+    repeated_db = 10 * np.log10(average_thirds(energy, at_hz, band_hz=loud.band_hz))
+    kept = main.frequency_hz <= ABOVE * loud.band_hz[1]
+    names = ("frequency_hz", "response", "coherence", "distortion")
     return CoilRun(
-        actuator=actuator,
-        main=main,
-        ladder=ladder | {top: main},
-        noise=measured,
-        repeats_db=float(np.median(levels_db.std(axis=0, ddof=1))),
+        main=replace(main, **{name: getattr(main, name)[kept] for name in names}),
+        levels=np.array([*levels, top]),
+        linearity_db=np.array([np.median(_compare_db(one, ladder[0])) for one in (*ladder, main)]),
+        repeats_db=float(np.median(repeated_db.std(axis=0, ddof=1))),
+        noise_m_s2=noise_m_s2,
     )
 
 
-def design_coil(rig: Rig, run: CoilRun, *, noise_m_s2: float) -> CoilCertificate:
-    """Make the filter of a coil, and what its certificate says of it without the filter."""
-    main, settings, actuator = run.main, rig.calibration, run.actuator
+def propose_band(rig: Rig, response: Response) -> tuple[Band, float]:
+    """Propose the band of a coil and the gain of its filter in dB: the asked band, if the coil and its noise allow it.
+
+    A gain that rig.toml gives is kept, and the band with it.
+    """
+    own = rig.calibration
+    if own.max_gain_db is not None:
+        return own.band_hz, own.max_gain_db
+    inside = find_inside(response.frequency_hz, band_hz=own.band_hz)
+    size = np.abs(response.response)
+    middle = float(np.median(size[inside]))
+    is_good = inside & (response.coherence >= own.min_coherence)
+    is_good &= DB * np.log(middle / np.maximum(size, 1e-12)) <= MOST_GAIN_DB - SPARE_DB
+    if not is_good.any():
+        return own.band_hz, MOST_GAIN_DB
+    # The longest stretch without a frequency that would need too much, or that noise hides.
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_good, [False]])))
+    ends_hz = response.frequency_hz[edges.reshape(-1, 2) - [0, 1]]
+    low, high = max(ends_hz, key=lambda one: float(one[1] / one[0]))
+    first, last = response.frequency_hz[inside][[0, -1]]
+    band_hz = (
+        own.band_hz[0] if low == first else float(low),
+        own.band_hz[1] if high == last else float(high),
+    )
+    inside = find_inside(response.frequency_hz, band_hz=band_hz)
+    needed_db = DB * math.log(float(np.median(size[inside]) / size[inside].min()))
+    return band_hz, min(needed_db + SPARE_DB, MOST_GAIN_DB)
+
+
+def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertificate:
+    """Make the filter of a coil, and what its certificate says of it: by calculation, until it is verified."""
+    main, settings = run.main, rig.calibration
+    band_hz, gain_db = propose_band(rig, main)
     inverse = make_inverse(
         main,
-        band_hz=settings.band_hz,
-        max_gain_db=settings.max_gain_db,
-        n_taps=round(TAPS_PERIODS / settings.band_hz[0] * main.rate_hz),
+        band_hz=band_hz,
+        max_gain_db=gain_db,
+        n_taps=round(TAPS_PERIODS / band_hz[0] * main.rate_hz),
         phase=cast("Phase", settings.phase),
         min_coherence=settings.min_coherence,
     )
-    inside = find_inside(main.frequency_hz, band_hz=main.band_hz)
+    inside = find_inside(main.frequency_hz, band_hz=band_hz)
     size, distortion = np.abs(main.response[inside]), main.distortion[inside]
     full_scale_m_s2 = float(np.median(size))
-    before_db = main.find_deviation_db(target=full_scale_m_s2, band_hz=main.band_hz)
+    before_db = main.find_deviation_db(target=full_scale_m_s2, band_hz=band_hz)
     # Harmonics over the band, relative to the sum of the fundamentals; both as energies.
     known = np.isfinite(distortion)
     harmonics = float(np.linalg.norm((size * distortion)[known]) / np.linalg.norm(size[known]))
     # A sensor with one axis does not see the direction, but its sign.
     typed = find_directions(rig)[0].get(actuator.name, np.eye(3)[0])
     is_seen = len(main.direction) == len(typed)
-    low, high = main.band_hz
+    low, high = settings.band_hz
     grid_hz = np.arange(low / BELOW, high * ABOVE, STEP_HZ, dtype=np.float64)
-    return CoilCertificate(
+    coil = CoilCertificate(
         name=actuator.name,
         channel=actuator.channel,
+        band_hz=band_hz,
         full_scale_m_s2=full_scale_m_s2,
         target=inverse.target,
         latency=main.latency,
@@ -284,64 +217,68 @@ def design_coil(rig: Rig, run: CoilRun, *, noise_m_s2: float) -> CoilCertificate
         before_db=float(np.abs(before_db).max()),
         least_coherence=float(main.coherence[inside].min()),
         crossed_db=main.cross_talk_db,
-        noise_m_s2=noise_m_s2,
+        noise_m_s2=run.noise_m_s2,
         total_distortion=harmonics,
         direction=main.direction if is_seen else np.sign(main.direction[0]) * typed,
         frequency_hz=grid_hz,
-        response=_interpolate(grid_hz, main),
+        response=np.interp(grid_hz, main.frequency_hz, main.response),
         coherence=np.interp(grid_hz, main.frequency_hz, main.coherence),
         distortion=np.interp(grid_hz, main.frequency_hz, main.distortion),
         equalised=np.full(len(grid_hz), np.nan, dtype=np.complex128),
         fir=inverse.fir,
-        levels=np.array(list(run.ladder)),
+        levels=run.levels,
         linearity_db=run.linearity_db,
+    )
+    flat = main.response * coil.find_filter(main.frequency_hz, rate_hz=main.rate_hz)
+    return judge_filter(rig, coil, run=run, after=replace(main, response=flat))
+
+
+def judge_filter(
+    rig: Rig, coil: CoilCertificate, *, run: CoilRun, after: Response, is_measured: bool = False
+) -> CoilCertificate:
+    """Compare the response with a filter, measured or calculated, with its target; and add up the uncertainties."""
+    off_db = after.find_deviation_db(target=coil.target, band_hz=coil.band_hz)
+    inside = find_inside(after.frequency_hz, band_hz=coil.band_hz)
+    worst, settings = int(np.argmax(np.abs(off_db))), rig.calibration
+    coherence = np.clip(
+        run.main.coherence[find_inside(run.main.frequency_hz, band_hz=coil.band_hz)], 1e-6, 1
+    )
+    # Bendat and Piersol (2010), table 9.6: the random error of |H| from n segments.
+    random = np.sqrt((1 - coherence) / (2 * settings.repeats * coherence))
+    # Standard uncertainties of the level in dB; bounds count as rectangular (GUM 4.3.7).
+    budget = {
+        "sensor, as typed": settings.sensor_uncertainty_db,
+        "repeatability": run.repeats_db,
+        "noise": DB * float(np.median(random)),
+        "linearity": float(np.abs(run.linearity_db).max()) / math.sqrt(3),
+        "left after the filter": float(np.sqrt(np.mean(off_db**2))),
+    }
+    return replace(
+        coil,
+        largest_db=float(np.abs(off_db[worst])),
+        worst_hz=float(after.frequency_hz[inside][worst]),
+        least_coherence_after=float(after.coherence[inside].min()) if is_measured else math.nan,
+        equalised=np.interp(coil.frequency_hz, after.frequency_hz, after.response),
+        budget=budget,
+        uncertainty_db=math.hypot(*budget.values()),
     )
 
 
 def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertificate:
     """Play a sweep through the filter of a coil, as loud as its own, and compare the motion with the target."""
-    rig, top = bench.rig, max(run.ladder)
+    rig, top = bench.rig, float(run.levels[-1])
     sweep = make_main(rig, rate_hz=bench.rate_hz, peak=top)
     asked = make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
     scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
     recorded = bench.play_sweep(scale * filtered, sweep, coil.channel)
     after = measure_sweep(sweep, recorded, sent=scale * asked)
-    band_hz = rig.calibration.band_hz
-    off_db = after.find_deviation_db(target=coil.target, band_hz=band_hz)
-    inside, worst = find_inside(after.frequency_hz, band_hz=band_hz), int(np.argmax(np.abs(off_db)))
-    budget = _make_budget(rig, run, residual_db=float(np.sqrt(np.mean(off_db**2))))
-    return replace(
-        coil,
-        largest_db=float(np.abs(off_db[worst])),
-        worst_hz=float(after.frequency_hz[inside][worst]),
-        least_coherence_after=float(after.coherence[inside].min()),
-        equalised=_interpolate(coil.frequency_hz, after),
-        budget=budget,
-        uncertainty_db=math.hypot(*(term.db for term in budget)),
-    )
+    return judge_filter(rig, coil, run=run, after=after, is_measured=True)
 
 
-def _make_budget(rig: Rig, run: CoilRun, *, residual_db: float) -> tuple[BudgetTerm, ...]:
-    """Make the budget of a coil: standard uncertainties of its level in dB; bounds count as rectangular (GUM 4.3.7)."""
-    main, settings = run.main, rig.calibration
-    inside = find_inside(main.frequency_hz, band_hz=main.band_hz)
-    coherence = np.clip(main.coherence[inside], 1e-6, 1)
-    # Bendat and Piersol (2010), table 9.6: the random error of |H| from n segments.
-    random = np.sqrt((1 - coherence) / (2 * settings.repeats * coherence))
-    apart_db = float(np.sqrt(np.mean(_compare_db(run.noise, main) ** 2)))
-    terms = {
-        "repeatability": run.repeats_db,
-        "noise": DB * float(np.median(random)),
-        "linearity": float(np.abs(run.linearity_db).max()) / math.sqrt(3),
-        "noise against sweep": apart_db / math.sqrt(3),
-        "left after the filter": residual_db,
-    }
-    typed = BudgetTerm(name="sensor", db=settings.sensor_uncertainty_db, source=TYPED)
-    return typed, *(BudgetTerm(name=name, db=db, source=MEASURED) for name, db in terms.items())
-
-
-def measure_latencies(bench: Bench, coils: Mapping[str, CoilCertificate]) -> dict[str, int]:
+def measure_latencies(
+    bench: Bench, coils: Mapping[str, CoilCertificate]
+) -> dict[str, CoilCertificate]:
     """Measure the latencies of all coils in one recording, one coil after another, in samples.
 
     A device that ran dry goes on with another latency, so those of different recordings cannot be compared.
@@ -362,13 +299,15 @@ def measure_latencies(bench: Bench, coils: Mapping[str, CoilCertificate]) -> dic
         return np.concatenate([recorded[:, k : k + turn] for k in places[name]], axis=1)
 
     recorded = bench.insist(
-        lambda: bench.play_all(sounds, n=n),
+        lambda: bench.play(sounds, n=n),
         lambda found: max(find_slip(cut(found, name), quiet) for name in coils),
     )
-    return {
-        name: measure_sweep(replace(quiet, peak=float(coil.levels[1])), cut(recorded, name)).latency
-        for name, coil in coils.items()
-    }
+
+    def find_latency(name: str, coil: CoilCertificate) -> int:
+        sweep = replace(quiet, peak=float(coil.levels[1]))
+        return measure_sweep(sweep, cut(recorded, name)).latency
+
+    return {name: replace(coil, latency=find_latency(name, coil)) for name, coil in coils.items()}
 
 
 # What is wrong with a recording, and with a coil.
@@ -407,7 +346,7 @@ def _check_ringing(recorded: Samples, *, period: int, pause_s: float) -> None:
 def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
     """Find the limits of `[calibration]` that a coil does not keep."""
     own = rig.calibration
-    worst = max(coil.budget, key=lambda term: term.db)
+    worst = max(coil.budget, key=coil.budget.__getitem__)
     typed = next(one.direction for one in rig.actuators if one.name == coil.name)
     cosine = float(coil.direction @ np.array(typed) / np.linalg.norm(typed)) if typed else 1.0
     turned_deg = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
@@ -420,7 +359,7 @@ def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
         (
             coil.uncertainty_db > own.max_uncertainty_db,
             f"is known to {coil.uncertainty_db:.2f} dB, the limit is {own.max_uncertainty_db:g}; its largest term is "
-            f"{worst.name} ({worst.db:.2f} dB)",
+            f"{worst} ({coil.budget[worst]:.2f} dB)",
         ),
         (
             coil.total_distortion > own.max_distortion,
@@ -451,5 +390,133 @@ def _compare_db(one: Response, other: Response) -> Samples:
     return average_thirds(ratio_db, at_hz, band_hz=other.band_hz)
 
 
-def _interpolate(grid_hz: Samples, found: Response) -> Spectrum:
-    return np.asarray(np.interp(grid_hz, found.frequency_hz, found.response), dtype=np.complex128)
+# What was measured is stored, coil by coil, so that it need not be measured again.
+
+
+def write_run(run: CoilRun, path: Path, *, made: datetime) -> None:
+    """Store what was measured of a coil."""
+    make_folder(path.parent)
+    main = {f"main.{one.name}": getattr(run.main, one.name) for one in fields(Response)}
+    own = {one.name: getattr(run, one.name) for one in fields(CoilRun) if one.name != "main"}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **main, **own, made=made.isoformat())
+    write_bytes(path, buffer.getvalue())
+
+
+def read_run(path: Path) -> tuple[CoilRun | None, datetime]:
+    """Read what was measured of a coil, and when; None where nothing there can be used."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            known = {name: stored[name] for name in stored.files}
+        made = datetime.fromisoformat(str(known.pop("made")))
+        flat = {name: one if one.ndim else one.item() for name, one in known.items()}
+        main = {name[5:]: flat.pop(name) for name in list(flat) if name.startswith("main.")}
+        main["band_hz"] = tuple(main["band_hz"])
+        return CoilRun(main=Response(**main), **flat), made
+    except (OSError, TypeError, AttributeError, *DAMAGED):
+        return None, datetime.min
+
+
+def name_run(folder: Path, rig: Rig, actuator: ActuatorTable) -> Path:
+    """Name the file of a coil's measurements: another rig has others."""
+    return folder / FOLDER / "sweeps" / f"{digest(rig)[:12]}-{actuator.channel}.npz"
+
+
+@dataclass(slots=True, kw_only=True)
+class Calibration:
+    """A calibration of a study's rig; agree: shows what is proposed, and asks for consent."""
+
+    rig: Rig
+    rate_hz: float
+    made: datetime
+    folder: Path
+    agree: Callable[[Certificate], bool] = lambda _: True
+    on_step: OnStep | None = None
+
+    def run(self) -> Certificate:
+        """Measure the coils, make their filters, and verify them by playing through them."""
+        rig, rate_hz = self.rig, self.rate_hz
+        require_sensor(rig)
+        main, quiet = make_main(rig, rate_hz=rate_hz), make_quiet(rig, rate_hz=rate_hz)
+        n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
+        n_coils = len(rig.actuators)
+        runs = self.find_runs(within=KEPT)
+        n_all = n_coils * (n_main + n_quiet) + round(SILENCE_S * rate_hz)
+        n_all += (n_coils - len(runs)) * (n_main + (1 + len(LADDER)) * n_quiet)
+        opened = open_bench(
+            rig,
+            rate_hz=rate_hz,
+            n_longest=max(n_main, n_coils * n_quiet),
+            total_s=n_all / rate_hz,
+            on_step=self.on_step,
+        )
+        with opened as bench:
+            noise_m_s2 = float(
+                np.linalg.norm(bench.play({}, n=round(SILENCE_S * rate_hz)).std(axis=1))
+            )
+            for actuator in (one for one in rig.actuators if one.name not in runs):
+                with _named(actuator.name):
+                    run = measure_coil(bench, actuator, noise_m_s2=noise_m_s2)
+                write_run(run, name_run(self.folder, rig, actuator), made=self.made)
+                runs[actuator.name] = run
+            coils = self.design(runs)
+            for name, coil in coils.items():
+                with _named(name):
+                    coils[name] = verify_coil(bench, coil, runs[name])
+            coils = measure_latencies(bench, coils)
+        return self._certify(coils)
+
+    def redesign(self) -> Certificate:
+        """Make the filters anew from the stored sweeps, by today's `[calibration]`; nothing is played."""
+        runs = self.find_runs()
+        if missing := [one.name for one in self.rig.actuators if one.name not in runs]:
+            raise ValueError(
+                f"no sweeps of {', '.join(map(repr, missing))} on this rig are stored; run feel321 calibrate"
+            )
+        coils = self.design(runs)
+        if (last := self._find_last()) is not None:  # where all were measured in one recording
+            known = read_certificate(last).coils
+            coils = {name: replace(one, latency=known[name].latency) for name, one in coils.items()}
+        return self._certify(coils)
+
+    def _find_last(self) -> Path | None:
+        return max((self.folder / FOLDER).glob(f"*-{digest(self.rig)[:8]}.json"), default=None)
+
+    def find_runs(self, *, within: timedelta | None = None) -> dict[str, CoilRun]:
+        """Find what was measured of the coils on this rig; within: so recently, and since its last certificate."""
+        last, found = self._find_last(), {}
+        for actuator in self.rig.actuators:
+            run, made = read_run(name_run(self.folder, self.rig, actuator))
+            if run is None or run.main.rate_hz != self.rate_hz:
+                continue
+            is_open = last is None or f"{made:%Y%m%dT%H%M%SZ}" > last.name
+            is_new = within is None or (is_open and self.made - made < within)
+            if is_new and run.main.band_hz == self.rig.calibration.band_hz:
+                found[actuator.name] = run
+        return found
+
+    def design(self, runs: Mapping[str, CoilRun]) -> dict[str, CoilCertificate]:
+        """Make the filters of all coils, and let them be agreed to."""
+        coils = {}
+        for actuator in self.rig.actuators:
+            with _named(actuator.name):
+                coils[actuator.name] = design_coil(self.rig, actuator, runs[actuator.name])
+        if not self.agree(self._certify(coils)):
+            raise KeyboardInterrupt
+        return coils
+
+    def _certify(self, coils: Mapping[str, CoilCertificate]) -> Certificate:
+        found = begin_certificate(
+            self.rig, coils, method=MEASURED, made=self.made, rate_hz=self.rate_hz
+        )
+        failures = (line for coil in coils.values() for line in find_failures(self.rig, coil))
+        return replace(found, failures=tuple(failures))
+
+
+@contextmanager
+def _named(coil: str) -> Iterator[None]:
+    """Say of which coil an error is."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"coil {coil!r}: {error}; the coils before it are kept") from None

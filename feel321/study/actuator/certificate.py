@@ -24,7 +24,7 @@ from scipy import fft, signal
 
 from feel321.files import create_text, file_named, make_folder, write_bytes
 from feel321.records import to_json_value
-from feel321.study.actuator.response import Band, Spectrum
+from feel321.study.actuator.response import BAND_HZ, Band, Spectrum, find_inside
 from feel321.study.actuator.rig import AXES, Rig, SensorTable, digest
 from feel321.study.settings.fields import AtLeastOne, Count, Positive, Words
 from feel321.types import Samples
@@ -32,9 +32,6 @@ from feel321.types import Samples
 FOLDER = "calibration"
 FORMAT = "feel321 calibration 1"
 MEASURED, MANUAL = "measured", "manual"
-TYPED = "typed"
-"""A value that somebody typed; others are measured."""
-
 DAMAGED = (EOFError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile, zlib.error)
 """What reading a damaged archive raises."""
 
@@ -44,33 +41,26 @@ OrNaN = Annotated[float, BeforeValidator(lambda value: math.nan if value is None
 """A number that JSON holds as null where it was not measured."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BudgetTerm:
-    """One term of the uncertainty of a coil's response, in dB (standard uncertainty); source: `measured` or `typed`."""
-
-    name: str
-    db: OrNaN
-    source: str
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoilCertificate:
     """One coil, as measured without its filter, and with it.
 
     channel: of the device, from 1. full_scale_m_s2: median response in the band without the filter; target: response
-    everywhere in the band with it. latency: samples from sending to the sensor; delay: samples that the filter adds.
+    everywhere in its band with it. latency: samples from sending to the sensor; delay: samples that the filter adds.
     frequency_hz, response (complex, along `direction`, latency removed), coherence, distortion and equalised (with the
     filter; NaN where not measured): shape (k,). direction: unit vector, shape (3,). fir: shape (n,), [1] for no filter.
     levels, linearity_db: amplitudes of the ladder (of full scale) and deviations from linear there, shape (m,).
     before_db, largest_db: largest deviation in the band, without the filter, and with it (at worst_hz). crossed_db:
-    motion across the direction over that along it; onto_db: motion along the directions of other coils.
-    total_distortion: harmonics over fundamentals, over the whole band.
+    motion across the direction over that along it.
+    budget: standard uncertainties of the level in dB, by source. total_distortion: harmonics over fundamentals, over
+    the whole band.
     """
 
     name: Words
     channel: AtLeastOne
     full_scale_m_s2: Positive
     target: Positive
+    band_hz: Band = BAND_HZ
     latency: Count
     delay: Count = 0
     gain_db: OrNaN = 0.0
@@ -83,8 +73,7 @@ class CoilCertificate:
     total_distortion: OrNaN = math.nan
     worst_hz: OrNaN = math.nan
     least_coherence_after: OrNaN = math.nan
-    onto_db: Mapping[str, OrNaN] = field(default_factory=dict)
-    budget: tuple[BudgetTerm, ...] = ()
+    budget: Mapping[str, OrNaN] = field(default_factory=dict)
     direction: Samples
     frequency_hz: Samples
     response: Spectrum
@@ -106,6 +95,13 @@ class CoilCertificate:
         response = np.interp(grid_hz, self.frequency_hz, self.response)
         moved: Samples = fft.irfft(fft.rfft(drive, n) * response, n)[: len(drive)]
         return moved
+
+    def find_filter(self, at_hz: Samples, *, rate_hz: float) -> Spectrum:
+        """Find the response of the filter at some frequencies, its delay left out."""
+        n = fft.next_fast_len(4 * len(self.fir), real=True)
+        grid_hz = fft.rfftfreq(n, 1 / rate_hz)
+        turned = fft.rfft(self.fir, n) * np.exp(2j * np.pi * grid_hz * self.delay / rate_hz)
+        return np.asarray(np.interp(at_hz, grid_hz, turned), dtype=np.complex128)
 
     def equalise(self, samples: Samples) -> Samples:
         """Filter samples, shape (n,), so that full scale becomes `target` m/s²; shape (n + tail,)."""
@@ -153,15 +149,18 @@ class Certificate:
     @property
     def lead_s(self) -> float:
         """Time by which the filters let samples go out before the vibration that they make."""
-        return max(coil.delay for coil in self.coils.values()) / self.rate_hz
+        coils = self.coils.values()
+        late = max(coil.latency + coil.delay for coil in coils)
+        return (late - max(coil.latency for coil in coils)) / self.rate_hz
 
     def drive(self, name: str, asked_m_s2: Samples) -> Samples:
         """Make the samples to be sent to a coil, shape (n + tail,), for the motion that is asked of it, shape (n,).
 
-        They go through its filter, and wait for the coil with the longest latency, so that all move together.
+        They go through its filter, and wait for the coil that is latest with its filter, so that all move together.
         """
         coil = self.coils[name]
-        waits = max(one.latency for one in self.coils.values()) - coil.latency
+        latest = max(one.latency + one.delay for one in self.coils.values())
+        waits = latest - coil.latency - coil.delay
         return np.concatenate([np.zeros(waits), coil.equalise(asked_m_s2 / coil.target)])
 
     def predict(self, frames: NDArray[np.floating[Any]]) -> Samples:
@@ -191,8 +190,6 @@ class Certificate:
     def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
         """Find why the certificate is not valid for a rig today, one line each."""
         again, found = "run feel321 calibrate", []
-        if self.sensor and rig.sensor is None:  # taken off since the coils were measured
-            rig = rig.model_copy(update={"sensor": SensorTable.model_validate(self.sensor)})
         own, channels = digest(rig), {one.name: one.channel for one in rig.actuators}
         known = {name: coil.channel for name, coil in self.coils.items()}
         if own != self.rig_sha256 or known != channels:
@@ -264,7 +261,7 @@ def make_manual(
             target=gains[actuator.name],
             latency=0,
             uncertainty_db=db,
-            budget=(BudgetTerm(name="typed gain", db=db, source=TYPED),),
+            budget={"typed gain": db},
             direction=directions.get(actuator.name, np.eye(len(AXES))[0]),
             frequency_hz=np.array(rig.calibration.band_hz),
             response=np.full(2, gains[actuator.name], dtype=np.complex128),
@@ -290,20 +287,17 @@ def _make_model(record: type, name: str, **others: Any) -> Any:  # noqa: ANN401 
     return create_model(name, **own | others)
 
 
-_CoilEntry: Any = _make_model(CoilCertificate, "_CoilEntry")
-
-
 def _check_time(text: str) -> str:
     if datetime.fromisoformat(text).tzinfo is None:
         raise ValueError("must be a time with its zone")
     return text
 
 
+_CoilEntry: Any = _make_model(CoilCertificate, "_CoilEntry")
 _Entry = _make_model(
     Certificate,
     "_Entry",
     format=(str, ...),
-    sha256=(str, ...),
     arrays_sha256=(str, ...),
     expires_utc=(Annotated[str, AfterValidator(_check_time)], ...),
     sensor=(SensorTable | None, ...),
@@ -313,18 +307,15 @@ _Entry = _make_model(
 
 def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
     """Write a certificate into a study's folder, where none of that name may be, and return it with its seal."""
-    place = folder / FOLDER
-    make_folder(place)
-    path = place / f"{certificate.id}.json"
-    arrays = path.with_suffix(".npz")
-    for file in (path, arrays):
+    path = folder / FOLDER / f"{certificate.id}.json"
+    make_folder(path.parent)
+    for file in (path, path.with_suffix(".npz")):
         if file.exists():
             raise FileExistsError(f"{file}: already exists and is not overwritten; calibrate again")
     coils = list(certificate.coils.values())
     buffer = io.BytesIO()
     packed = {f"{k}.{name}": getattr(coil, name) for k, coil in enumerate(coils) for name in ARRAYS}
     np.savez_compressed(buffer, allow_pickle=False, **packed)
-    content = buffer.getvalue()
 
     def describe(record: Any, *besides: str) -> dict[str, Any]:  # noqa: ANN401 - either record
         names = [one.name for one in fields(record) if one.name not in besides]
@@ -334,9 +325,9 @@ def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
         "format": FORMAT,
         **describe(certificate, "coils", "sha256"),
         "coils": [describe(coil, *ARRAYS) for coil in coils],
-        "arrays_sha256": hashlib.sha256(content).hexdigest(),
+        "arrays_sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
     })
-    write_bytes(arrays, content)
+    write_bytes(path.with_suffix(".npz"), buffer.getvalue())
     sealed = entry | {"sha256": _seal(entry)}
     create_text(path, json.dumps(sealed, indent=1, ensure_ascii=False) + "\n")
     return read_certificate(path)
@@ -353,15 +344,13 @@ def read_certificate(path: Path) -> Certificate:
                 "not a certificate as calibrate writes them; calibrate again"
             ) from None
         if found != FORMAT:
-            raise ValueError(
-                f"got format {found!r}, expected {FORMAT!r}; calibrate again with this version"
-            )
+            raise ValueError(f"got format {found!r}, expected {FORMAT!r}; calibrate again")
         if _seal({key: value for key, value in entry.items() if key != "sha256"}) != seal:
             raise ValueError("was changed after it was written; restore it, or calibrate again")
         content = path.with_suffix(".npz").read_bytes()
         if hashlib.sha256(content).hexdigest() != entry.get("arrays_sha256"):
             raise ValueError(
-                f"its arrays in {path.stem}.npz were changed after they were written; restore them, or calibrate again"
+                f"its arrays in {path.stem}.npz were changed; restore them, or calibrate again"
             )
         try:
             known = dict(_Entry.model_validate(entry))
@@ -411,3 +400,62 @@ def judge_certificates(
     if not candidates:
         return None, ["no certificate of calibration; run feel321 calibrate"]
     return None, min(candidates, key=lambda candidate: candidate[0])[1]
+
+
+# A picture of a certificate.
+
+PANEL_CM = 4.6
+FLOOR_DB = -60.0
+
+
+def draw_certificate(certificate: Certificate, stem: Path) -> None:
+    """Draw each coil: its response, its filter, what is left with it, its harmonics and the limits; save it as SVG."""
+    from feel321.analysis.figures import style
+
+    coils, (low, high) = list(certificate.coils.values()), certificate.band_hz
+    most_db = float(certificate.settings["max_deviation_db"])
+    with style.print_style():
+        figure = style.new_canvas(PANEL_CM * len(coils) + 0.5)
+        panels = figure.subplots(len(coils), sharex=True, squeeze=False)[:, 0]
+        for axes, coil in zip(panels, coils, strict=True):
+            at_hz = coil.frequency_hz[find_inside(coil.frequency_hz, band_hz=(low, high))]
+            own = np.interp(at_hz, coil.frequency_hz, coil.response) / coil.target
+            left = np.interp(at_hz, coil.frequency_hz, coil.equalised) / coil.target
+            bent = np.interp(at_hz, coil.frequency_hz, coil.distortion)
+            inverse = coil.find_filter(at_hz, rate_hz=certificate.rate_hz)
+            for size, name, colour in (
+                (own, "without filter", style.RED),
+                (inverse, "filter", style.OKABE_ITO[2]),
+                (left, "with filter", style.BLUE),
+                (bent, "harmonics", style.GREY),
+            ):
+                level_db = 20 * np.log10(np.maximum(np.abs(size), 1e-9))
+                axes.plot(at_hz, np.maximum(level_db, FLOOR_DB), color=colour, label=name)
+            axes.fill_between(
+                coil.band_hz,
+                -most_db,
+                most_db,
+                color=style.GREY,
+                alpha=0.2,
+                linewidth=0,
+                label="limits",
+            )
+            axes.set_xscale("log")
+            axes.margins(x=0)
+            axes.set_ylim(FLOOR_DB - 2, None)
+            axes.set_ylabel("Level (dB)")
+            axes.set_title(
+                f"{coil.name}: {coil.target:.3g} m/s² at full scale, within {coil.largest_db:.1f} dB"
+            )
+        panels[-1].set_xlabel("Frequency (Hz)")
+        round_hz = [digit * 10**power for power in range(5) for digit in (1, 2, 5)]
+        shown = [one for one in round_hz if low <= one <= high]
+        panels[-1].set_xticks(shown, [f"{one:g}" for one in shown])
+        panels[-1].set_xticks([], minor=True)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(
+            handles, labels, loc="outside lower center", ncols=5, frameon=False, handlelength=1.5
+        )
+        passed = "passed" if certificate.passed else "did not pass"
+        style.add_title(figure, f"{certificate.id} ({certificate.method}): {passed}")
+        style.save_figure(figure, stem, formats=("svg",))

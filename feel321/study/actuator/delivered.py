@@ -37,6 +37,7 @@ from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import Reduction, reduce_again
 from feel321.study.actuator.certificate import MEASURED, Certificate
+from feel321.study.actuator.faults import Diagnosis
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.render import find_directions, find_mix
 from feel321.study.actuator.response import Band, find_inside
@@ -240,6 +241,10 @@ class DeliveryCheck:
     ) -> None:
         self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
         self._reduced, self._certificate = reduced, certificate
+        self._diagnosis: Diagnosis | None = None
+        is_seen = rig.sensor is not None and len(rig.sensor.inputs) == len(AXES)
+        if certificate is not None and certificate.method == MEASURED and is_seen:
+            self._diagnosis = Diagnosis(certificate, rig)
         self._predicted: dict[str, dict[str, float]] = {}
         self._own = {stimulus.stimulus_id for stimulus in stimuli}
 
@@ -261,6 +266,17 @@ class DeliveryCheck:
             seen = {name: coil.direction for name, coil in coils.items()}
             self._predicted[stimulus_id] = self._compare(stimulus_id, moved, seen)[1]
         return self._predicted[stimulus_id]
+
+    def diagnose(self, sent: Frames, measured: ArrayLike | None, *, keeps_latency: bool) -> str:
+        """Name what is wrong with the rig by a whole playback, with the coil; empty if nothing is, or can be known.
+
+        keeps_latency: whether the device ran without a break since the last one.
+        """
+        if self._diagnosis is None or measured is None:
+            return ""
+        if not keeps_latency:
+            self._diagnosis.lag = None
+        return self._diagnosis.judge(sent, np.asarray(measured, dtype=np.float64))
 
     def measure(self, stimulus_id: str, measured: Samples) -> dict[str, float]:
         """Compare what the sensor measured, shape (axes, m)."""

@@ -1,4 +1,6 @@
-"""PortAudio: its devices, and one open stream to one of them. Only this module knows sounddevice.
+"""PortAudio: its devices, and one open stream to one of them; and ports for triggers.
+
+Only this module knows sounddevice and PsychoPy's ports.
 
 All times are the device's own, in s.
 """
@@ -10,12 +12,12 @@ from dataclasses import dataclass
 from functools import partial
 from math import nan
 from threading import Thread
-from time import perf_counter
+from time import perf_counter, sleep
 from types import ModuleType
 from typing import Any
 
 from feel321.study.actuator.mixer import Frames
-from feel321.study.actuator.rig import Rig
+from feel321.study.actuator.rig import Rig, TriggerTable
 
 Foreign = Any  # sounddevice has no types
 # In s since the session began, without the time between its openings.
@@ -438,3 +440,81 @@ class DeviceStream(Sink):
         held_s = min(self.latency_s, left_s) + block_s * DRIFT
         self._held_s = self.latency_s + block_s if left_s < 0 else held_s
         return left_s < 0
+
+
+# A trigger for other recorders, by PsychoPy's own classes.
+
+LOOK_S = 0.0005  # between two looks at whether the onset is known, and whether it is there
+SPIN_S = 0.002  # before an onset, within which there is no sleep
+
+
+class Trigger:
+    """Sends a code to a port at each onset, in a thread of its own, and 0 a little later; clock: the session's."""
+
+    def __init__(self, table: TriggerTable, clock: SessionClock) -> None:
+        self._table, self._clock = table, clock
+        self._send = open_port(table)
+        self._watching: Thread | None = None
+        self._is_over = False
+        self.sent_s: float | None = None
+        self.error = ""
+
+    def watch(self, find_onset: Callable[[], float | None]) -> None:
+        """Wait for the onset of a playback that begins, as soon as it is known."""
+        self.leave()
+        self.sent_s, self.error, self._is_over = None, "", False
+        self._watching = Thread(target=self._run, args=(find_onset,), daemon=True)
+        self._watching.start()
+
+    def leave(self) -> None:
+        """Wait no longer."""
+        self._is_over = True
+        if self._watching is not None:
+            self._watching.join()
+
+    def _run(self, find_onset: Callable[[], float | None]) -> None:
+        while not self._is_over:
+            onset_s = find_onset()
+            left_s = LOOK_S if onset_s is None else onset_s - self._clock()
+            if onset_s is not None and left_s <= 0:
+                self._pulse()
+                return
+            if left_s > SPIN_S or onset_s is None:
+                sleep(LOOK_S)
+
+    def _pulse(self) -> None:
+        try:
+            self._send(self._table.code)
+            self.sent_s = self._clock()
+            sleep(self._table.duration_s)
+            self._send(0)
+        except Exception as error:  # noqa: BLE001 - whatever a driver raises, the session goes on
+            self.error = f"trigger on {self._table.address}: {error}"
+
+
+def open_port(table: TriggerTable) -> Callable[[int], object]:
+    """Open a port by PsychoPy's class for it, and return what sends a code there."""
+    try:
+        if table.port == "parallel":
+            from psychopy import parallel
+
+            address: Any = table.address
+            if address.lower().startswith("0x"):
+                address = int(address, 16)
+            send: Callable[[int], object] = parallel.ParallelPort(address).setData
+            return send
+        from psychopy.hardware.serialdevice import SerialDevice
+
+        class Port(SerialDevice):  # type: ignore[misc]  # PsychoPy has no types
+            """A port at whose other end nobody answers."""
+
+            def isAwake(self) -> bool:  # noqa: N802 - PsychoPy's name
+                return True
+
+        port = Port(table.address, table.baud)
+    except Exception as error:  # noqa: BLE001 - PsychoPy and its drivers raise what they like
+        raise OSError(
+            f"trigger: {table.port} port {table.address} does not open ({error}); check [trigger] in rig.toml, and "
+            "whether this account may use the port"
+        ) from None
+    return lambda code: port.com.write(bytes([code]))

@@ -8,9 +8,10 @@ that runs dry, stands still or disappears is reported in the playback, not raise
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from math import isnan
 from threading import Thread
 from time import perf_counter, sleep
@@ -26,10 +27,12 @@ from feel321.study.actuator.device import (
     Patience,
     SessionClock,
     Sink,
+    Trigger,
     join,
 )
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
-from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify
+from feel321.study.actuator.response import Sweep, find_slip
+from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify, require_sensor
 from feel321.study.actuator.simulated import FileSink, SimulatedStream
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
@@ -39,6 +42,7 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.delivered import DeliveryCheck
+    from feel321.types import Samples
 
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
@@ -48,10 +52,12 @@ class Take:
     """One playback as the sink sees it, block by block; the callback writes it, the session reads it once it is out.
 
     latency_s: of the sink, there and back; sensor: room for what a sensor measures, shape (n, axes), if there is one.
+    held_s: what the sink still has to play; dry_frames: first frames of the blocks before which it had run dry.
     """
 
     rate_hz: float
     latency_s: float
+    held_s: float = 0.0
     sensor: Frames | None = None
     cue: Cue | None = None
     onset_s: float | None = None
@@ -59,7 +65,7 @@ class Take:
     end_s: float | None = None
     is_out: bool = False
     n_blocks: int = 0
-    n_underruns: int = 0
+    dry_frames: list[int] = field(default_factory=list)
     n_sensor_gaps: int = 0
     longest_s: float = 0.0
     sensor_latency_s: float = 0.0
@@ -69,7 +75,8 @@ class Take:
     def add_block(self, block: BlockTimes, *, frame: int) -> None:
         """Take account of a block that the mixer has filled."""
         self.n_blocks += 1
-        self.n_underruns += block.has_run_dry
+        if block.has_run_dry:
+            self.dry_frames.append(frame)
         self.n_sensor_gaps += block.has_lost_input
         cue = self.cue
         if cue is None:
@@ -90,6 +97,17 @@ class Take:
         # Times of inputs are less true than those of outputs, so the sensor is recorded by frames.
         n_sensed = round((self.latency_s + SENSOR_TAIL_S) * self.rate_hz)
         self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
+
+    def find_underruns(self) -> list[int]:
+        """List the samples of the stimulus at which the sink ran dry; in the silence around them it spoils nothing.
+
+        What was handed over before is played to its end as a rule, but a device that begins anew may drop what it held.
+        """
+        cue, held = self.cue, round(self.held_s * self.rate_hz)
+        if cue is None or not cue.n_played:
+            return []
+        places = [frame - cue.onset_frame for frame in self.dry_frames]
+        return [min(at, cue.n_played) for at in places if 0 < at < cue.n_played + held]
 
     def record(self, samples: Frames, *, frame: int) -> None:
         """Keep what the sensor measured, shape (n, axes), since the onset's frame went out; it comes back later."""
@@ -140,13 +158,14 @@ class Output:
         self._is_file = rig.device.name == FILE_DEVICE
         self._preroll_s = 0.0 if self._is_file else PREROLL_S + 2 * rig.device.latency_s
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=self._preroll_s)
+        self._trigger = Trigger(rig.trigger, clock) if rig.trigger is not None else None
         self._room: Frames | None = None
         if rig.sensor is not None and not self._is_file:
             longest = max((len(sound) for sound in sounds.values()), default=0)
             n_room, n_axes = longest + round(BEYOND_S * rate_hz), len(rig.sensor.inputs)
             self._room = np.zeros((n_room, n_axes), dtype=np.float32)
         self._sink: Sink | None = None
-        self._n_frames = 0
+        self._n_frames = self._n_dry = self._n_dry_before = 0
         self._opening: Thread | None = None
         self._opening_error = self._error = ""
         self._take: Take | None = None
@@ -183,6 +202,8 @@ class Output:
 
     def close(self) -> None:
         """Silence the sink and let it go."""
+        if self._trigger is not None:
+            self._trigger.leave()
         if self._sink is not None:
             self._sink.close()
         self._sink = None
@@ -202,7 +223,7 @@ class Output:
         if self._error or sink is None:
             return
         sink.begin()
-        take = Take(self._rate_hz, sink.there_and_back_s, sensor=self._room)
+        take = Take(self._rate_hz, sink.there_and_back_s, held_s=sink.latency_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
         take.cue = self._mixer.start(
             self._name,
@@ -213,6 +234,14 @@ class Output:
         )
         ahead_s = sink.compare_clocks()
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
+        if self._trigger is not None:
+            self._trigger.watch(partial(self._find_onset, take))
+
+    def _find_onset(self, take: Take) -> float | None:
+        """Find when a vibration begins, on the session's clock; None while that is not known."""
+        if take.onset_s is None or take.cue is None:
+            return None
+        return take.onset_s + self._clock_ahead_s + take.cue.lead_frames / self._rate_hz
 
     @property
     def is_playing(self) -> bool:
@@ -247,9 +276,7 @@ class Output:
             return Playback(
                 self._requested_s, None, completed=False, error=self._error or "nothing was started"
             )
-        cue, onset_s = take.cue, None
-        if take.onset_s is not None:
-            onset_s = take.onset_s + self._clock_ahead_s + cue.lead_frames / self._rate_hz
+        cue, onset_s = take.cue, self._find_onset(take)
         self.captured = self._capture(take)
         measured, sha256 = self._describe_take(take, cue), ""
         if self.captured is not None and self._folder is not None:
@@ -259,15 +286,18 @@ class Output:
             except OSError as problem:
                 self._error = self._error or str(problem)
         is_completed = cue.is_complete and take.is_out
-        is_whole = is_completed and not take.n_underruns and not take.n_sensor_gaps
-        delivered: Mapping[str, float] = {}
-        if self._check is not None and is_whole and cue.scale == 1:  # the level is the set's
-            sensed = None if self._room is None else self.captured
-            delivered = self._check.describe(self._name, cue.sound, sensed)
+        underruns = take.find_underruns()
+        is_whole = is_completed and not underruns and not take.n_sensor_gaps
+        fault, delivered = self._compare(cue) if is_whole else ("", {})
+        if self._trigger is not None:
+            self._trigger.leave()
+            fault = fault or self._trigger.error
+            if self._trigger.sent_s is not None:
+                measured["trigger_s"] = self._trigger.sent_s
         return Playback(
             requested_s=self._requested_s,
             onset_s=onset_s,
-            underruns=take.n_underruns,
+            underruns=len(underruns),
             clipped=cue.clipped,
             completed=is_completed,
             error=self._error,
@@ -275,7 +305,20 @@ class Output:
             dac_source=take.dac_source,
             delivered=delivered,
             delivered_sha256=sha256,
+            fault=fault,
         )
+
+    def _compare(self, cue: Cue) -> tuple[str, Mapping[str, float]]:
+        """Compare a whole playback with what was asked: what is wrong with the rig, and what the hand got."""
+        if self._check is None:
+            return "", {}
+        sensed = None if self._room is None else self.captured
+        keeps_latency = self._n_dry == self._n_dry_before
+        self._n_dry_before = self._n_dry
+        fault = self._check.diagnose(cue.sound, sensed, keeps_latency=keeps_latency)
+        if cue.scale != 1:  # the level is the set's
+            return fault, {}
+        return fault, self._check.describe(self._name, cue.sound, sensed)
 
     def _capture(self, take: Take) -> Frames | None:
         """Take what was recorded: by a file from the start on, by a sensor from the frame in which the onset was sent.
@@ -300,6 +343,11 @@ class Output:
             return measured
         latency_s = self._rig.device.latency_s if self._sink is None else self._sink.latency_s
         measured |= {"blocks": float(take.n_blocks), "callback_ms_max": take.longest_s * 1e3}
+        underruns = take.find_underruns()
+        if gaps := len(take.dry_frames) - len(underruns):
+            measured["gap_underruns"] = float(gaps)
+        if underruns:
+            measured["underrun_sample"] = float(underruns[0])
         measured["latency_s"] = latency_s
         if take.onset_s is not None:
             measured["dac_time_s"] = take.onset_s
@@ -316,6 +364,7 @@ class Output:
         begin_s, take, frame = perf_counter(), self._take, self._mixer.frame
         self._mixer.fill(out)
         self._n_frames += len(out)
+        self._n_dry += block.has_run_dry
         if take is None or take.is_out:
             return
         take.add_block(block, frame=frame)
@@ -338,6 +387,7 @@ class Output:
 
     def _reopen(self) -> None:
         self._opening_error = ""
+        self._n_dry += 1
         self.close()
         try:
             SINKS.get(self._rig.device.name, DeviceStream).refresh()
@@ -385,3 +435,89 @@ def open_output(
         yield output
     finally:
         output.close()
+
+
+# A bench for measurements: sounds through the output that sessions use, and what the sensor records of them.
+
+OnStep = Callable[[int, int], None]
+N_TRIES = 4  # of a playback in which the device ran dry, or samples were lost
+CLIPPED = 0.999  # of the sensor's full scale
+
+
+@dataclass(slots=True, kw_only=True)
+class Bench:
+    """An open output, and what the measurements on it share; sounds: those that it plays, to which more are added."""
+
+    rig: Rig
+    rate_hz: float
+    output: Output
+    sounds: dict[str, Frames]
+    total_s: float = 0.0
+    on_step: OnStep | None = None
+    done_s: float = 0.0
+
+    def play(self, samples: Mapping[int, Samples], *, n: int) -> Samples:
+        """Play samples by channel, shape (n,), and return what the sensor measured, shape (axes, n) in m/s²."""
+        sound = np.zeros((n, self.rig.n_channels), dtype=np.float32)
+        for channel, own in samples.items():
+            sound[:, channel - 1] = own
+        self.sounds[""] = sound
+        for _ in range(N_TRIES):
+            self.output.start("", gap_s=0.05)
+            while self.output.is_playing:
+                sleep(0.002)
+            played, recorded = self.output.collect(), self.output.captured
+            if played.error or recorded is None or recorded.shape[1] < n:
+                raise OSError(
+                    played.error or "the sensor's input gave too few samples; check its device"
+                )
+            if played.completed and not played.underruns + played.measured["sensor_gaps"]:
+                break
+        else:
+            raise OSError(
+                f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or raise "
+                "latency_s in rig.toml"
+            )
+        self._check(recorded[:, :n], clipped=played.clipped)
+        self.done_s += n / self.rate_hz
+        if self.on_step is not None:
+            self.on_step(round(self.done_s), round(self.total_s))
+        return recorded[:, :n].astype(np.float64)
+
+    def _check(self, recorded: Frames, *, clipped: int) -> None:
+        if clipped:
+            raise ValueError(
+                f"the rig's limits cut {clipped} samples; lower level under [calibration], or sweep_s below duration_s"
+            )
+        full_scale = require_sensor(self.rig).full_scale_m_s2
+        if np.abs(recorded).max() >= CLIPPED * full_scale:
+            raise ValueError(
+                f"the sensor's input is clipped (full scale is {full_scale:g} m/s²); lower its gain and raise "
+                "full_scale_m_s2 under [sensor] with it, or lower level under [calibration]"
+            )
+
+    def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
+        """Play sweeps, shape (n,), until their recordings are in step."""
+        return self.insist(
+            lambda: self.play({channel: sent}, n=len(sent)), lambda found: find_slip(found, sweep)
+        )
+
+    def insist(self, play: Callable[[], Samples], slip_of: Callable[[Samples], int]) -> Samples:
+        """Play until nothing has slipped, a few times: a sound server may drop samples without saying so."""
+        for _ in range(N_TRIES):
+            recorded = play()
+            if not (slip := slip_of(recorded)):
+                return recorded
+        raise OSError(
+            f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are "
+            "lost between output and sensor, or the sensor's device has a clock of its own; put both on one sound "
+            "card, named itself, raise latency_s in rig.toml, or lower sweep_s and repeats under [calibration]"
+        )
+
+
+@contextmanager
+def open_bench(rig: Rig, *, rate_hz: float, n_longest: int, **choices: Any) -> Iterator[Bench]:  # noqa: ANN401 - fields of a bench
+    """Open the output; n_longest: samples of the longest sound, by which room is made to record it."""
+    sounds: dict[str, Frames] = {"": np.zeros((n_longest, rig.n_channels), dtype=np.float32)}
+    with open_output(rig, sounds, rate_hz=rate_hz, clock=perf_counter) as output:
+        yield Bench(rig=rig, rate_hz=rate_hz, output=output, sounds=sounds, **choices)

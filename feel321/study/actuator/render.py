@@ -20,7 +20,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.certificate import Certificate
 from feel321.study.actuator.mixer import ROUNDING, WINDOW_S, Frames
-from feel321.study.actuator.rig import AXES, REDUCED, ActuatorTable, Rig
+from feel321.study.actuator.rig import AXES, REDUCED, Rig
 from feel321.types import Samples as Vector
 
 Mix = Mapping[str, Mapping[str, float]]
@@ -31,9 +31,20 @@ CANCELLED = 0.05  # motions that sum to less than this share of one coil's cance
 
 def find_mix(rig: Rig) -> dict[str, dict[str, float]]:
     """Find each actuator's factor on each of its sources: name -> `reduced`, `x`, `y`, `z` -> factor."""
-    known = all(actuator.direction is not None for actuator in rig.actuators)
-    shares = {source: _find_share(rig, source) if known else 1.0 for source in (REDUCED, *AXES)}
-    mix = {a.name: {source: shares[source] for source in a.plays} for a in rig.actuators}
+    directions, unknown = find_directions(rig)
+    shares = dict.fromkeys((REDUCED, *AXES), 1.0)
+    for source in shares if all(one.direction is not None for one in rig.actuators) else ():
+        names = [
+            one.name for one in rig.actuators if source in one.plays and one.name not in unknown
+        ]
+        length = float(np.linalg.norm(np.sum([directions[name] for name in names], axis=0)))
+        if names and length < CANCELLED:
+            raise ValueError(
+                f"{' and '.join(map(repr, names))} play {source!r} in opposite directions and cancel each other; turn "
+                "one direction round, or let only one of them play it"
+            )
+        shares[source] = 1 / length if names else 1.0
+    mix = {one.name: {source: shares[source] for source in one.plays} for one in rig.actuators}
     for actuator in rig.actuators:
         if actuator.weight is not None and REDUCED in actuator.plays:
             mix[actuator.name][REDUCED] = actuator.weight
@@ -45,9 +56,15 @@ def find_directions(rig: Rig) -> tuple[dict[str, Vector], list[str]]:
 
     A unit vector: the coil's own direction, or the axis if it plays just one and gives no direction.
     """
-    found = {actuator.name: _find_direction(actuator) for actuator in rig.actuators}
-    known = {name: direction for name, direction in found.items() if direction is not None}
-    return known, [name for name in found if name not in known]
+    known: dict[str, Vector] = {}
+    for actuator in rig.actuators:
+        axes = [axis for axis in AXES if axis in actuator.plays]
+        if actuator.direction is not None:
+            direction = np.array(actuator.direction)
+            known[actuator.name] = np.asarray(direction / np.linalg.norm(direction))
+        elif len(axes) == 1:
+            known[actuator.name] = np.eye(3)[AXES.index(axes[0])]
+    return known, [one.name for one in rig.actuators if one.name not in known]
 
 
 def reduced_energy(mix: Mix, directions: Mapping[str, Vector]) -> float:
@@ -60,28 +77,6 @@ def original_energy(mix: Mix, directions: Mapping[str, Vector], covariance: Vect
     motion = np.stack([_sum_motion(mix, directions, axis) for axis in AXES], axis=1)
     covariance = covariance if np.trace(covariance) > 0 else np.eye(3)  # of silence, any will do
     return float(np.trace(motion @ covariance @ motion.T) / np.trace(covariance))
-
-
-def _find_share(rig: Rig, source: str) -> float:
-    names = [actuator.name for actuator in rig.actuators if source in actuator.plays]
-    if not names:
-        return 1.0
-    directions, _ = find_directions(rig)
-    length = float(np.linalg.norm(np.sum([directions[name] for name in names], axis=0)))
-    if length < CANCELLED:
-        raise ValueError(
-            f"{' and '.join(map(repr, names))} play {source!r} in opposite directions and cancel each other; turn one "
-            "direction round, or let only one of them play it"
-        )
-    return 1 / length
-
-
-def _find_direction(actuator: ActuatorTable) -> Vector | None:
-    if actuator.direction is not None:
-        direction = np.array(actuator.direction)
-        return np.asarray(direction / np.linalg.norm(direction))
-    axes = [axis for axis in AXES if axis in actuator.plays]
-    return np.eye(3)[AXES.index(axes[0])] if len(axes) == 1 else None
 
 
 def _sum_motion(mix: Mix, directions: Mapping[str, Vector], source: str) -> Vector:
@@ -113,15 +108,15 @@ def render_stimulus(
             f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` in rig.toml, or name a "
             "reference in study.toml that the rig can play"
         )
-    asked_m_s2 = {}
-    for actuator in rig.actuators:
-        factors = mix[actuator.name]
-        parts = [
-            factors[source] * track
-            for source, track in zip(sources, tracks, strict=True)
-            if source in factors
-        ]
-        asked_m_s2[actuator.name] = sum(parts, np.zeros(stimulus.n_samples)) * full_scale_m_s2
+    own = dict(zip(sources, tracks, strict=True))
+    silence = np.zeros(stimulus.n_samples)
+    asked_m_s2 = {
+        name: sum(
+            (factor * own[source] for source, factor in factors.items() if source in own), silence
+        )
+        * full_scale_m_s2
+        for name, factors in mix.items()
+    }
     return render_motion(asked_m_s2, rig, certificate=certificate)
 
 
@@ -206,41 +201,35 @@ def find_rig_problems(
     """Find what keeps a rig from playing a set as it is, in one line per problem; sounds: takes what was rendered."""
     problems: dict[str, list[str]] = {}
     excesses: dict[tuple[str, str], list[tuple[float, str]]] = {}
-    for stimulus in stimuli.stimuli:
-        name = stimulus.stimulus_id
+    for one in stimuli.stimuli:
         try:
             rendered = render_stimulus(
-                stimulus,
-                stimuli.folder,
-                rig,
-                full_scale_m_s2=full_scale_m_s2,
-                certificate=certificate,
+                one, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2, certificate=certificate
             )
         except ValueError as error:
             named, _, reason = str(error).partition(": ")
             problems.setdefault(reason, []).append(named)
             continue
         except OSError as error:
-            reason = error.strerror or str(error).removeprefix(f"{stimulus.file}: ")
-            problems.setdefault(f"{reason}; build the set again", []).append(stimulus.file)
+            reason = error.strerror or str(error).removeprefix(f"{one.file}: ")
+            problems.setdefault(f"{reason}; build the set again", []).append(one.file)
             continue
-        if stimulus.rate_hz != rate_hz:
-            reason = f"got a rate of {stimulus.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"
-            problems.setdefault(reason, []).append(name)
+        if one.rate_hz != rate_hz:
+            reason = f"got a rate of {one.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"
+            problems.setdefault(reason, []).append(one.stimulus_id)
         if sounds is not None:
-            sounds[name] = rendered
-        for actuator, limit, asked in _find_excesses(
-            rig, rendered, rate_hz=stimulus.rate_hz, certificate=certificate
-        ):
-            excesses.setdefault((actuator, limit), []).append((-asked, name))
+            sounds[one.stimulus_id] = rendered
+        found = _find_excesses(rig, rendered, rate_hz=one.rate_hz, certificate=certificate)
+        for actuator, limit, asked in found:
+            excesses.setdefault((actuator, limit), []).append((-asked, one.stimulus_id))
     lines = [f"{_shorten(names)}: {reason}" for reason, names in problems.items()]
     filters = " lower max_gain_db or narrow band_hz under [calibration] and calibrate again,"
-    for (actuator, limit), found in sorted(excesses.items()):
-        worst = sorted(found, key=itemgetter(0))
+    for (actuator, limit), above in sorted(excesses.items()):
+        worst = sorted(above, key=itemgetter(0))
+        names = _shorten([name for _, name in worst])
         lines.append(
-            f"actuator {actuator!r}: {_shorten([name for _, name in worst])}: got {-worst[0][0]:.4g}, above {limit}; "
-            f"lower gain or headroom in study.toml and build again,{filters if certificate else ''} or raise the limit "
-            "if the coil allows it"
+            f"actuator {actuator!r}: {names}: got {-worst[0][0]:.4g}, above {limit}; lower gain or headroom in "
+            f"study.toml and build again,{filters if certificate else ''} or raise the limit if the coil allows it"
         )
     return lines
 
@@ -285,7 +274,7 @@ def _find_excesses(
     With a certificate, the limits hold for what is sent, at the measured full scale, and for the motion it predicts:
     at a resonance the coil moves more than it is driven.
     """
-    limits = rig.limits
+    limits, n_window = rig.limits, round(WINDOW_S * rate_hz)
     for actuator in rig.actuators:
         samples = rendered[:, actuator.channel - 1].astype(np.float64)
         if not samples.any():
@@ -293,20 +282,13 @@ def _find_excesses(
         coil = certificate.coils[actuator.name] if certificate else None
         scale = coil.target if coil else actuator.full_scale_m_s2
         motions = [samples * scale, *([coil.respond(samples, rate_hz=rate_hz)] if coil else [])]
-        n_window = round(WINDOW_S * rate_hz)
+        peaks = [float(np.abs(one).max()) for one in motions]
+        rms = max(float(slide_rms(one, n_window).max()) for one in motions)
         own = f"the actuator's {'measured full scale' if coil else 'full_scale_m_s2'}"
         for limit, asked, allowed in (
-            (own, float(np.abs(motions[0]).max()), scale),
-            (
-                "limits.peak_m_s2",
-                max(float(np.abs(one).max()) for one in motions),
-                limits.peak_m_s2,
-            ),
-            (
-                "limits.rms_m_s2",
-                max(float(slide_rms(one, n_window).max()) for one in motions),
-                limits.rms_m_s2,
-            ),
+            (own, peaks[0], scale),
+            ("limits.peak_m_s2", max(peaks), limits.peak_m_s2),
+            ("limits.rms_m_s2", rms, limits.rms_m_s2),
             ("limits.duration_s", len(samples) / rate_hz, limits.duration_s),
         ):
             if asked > allowed * (1 + ROUNDING):

@@ -14,7 +14,7 @@ sound reproduction. J Audio Eng Soc 47(7/8), 583-595.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -25,7 +25,7 @@ from feel321.types import Samples
 
 Spectrum = NDArray[np.complex128]
 Band = tuple[float, float]
-Phase = Literal["corrected", "minimum", "linear"]
+Phase = Literal["corrected", "minimum"]
 
 BAND_HZ = (20.0, 1000.0)
 BELOW, ABOVE = 2.0, 1.25  # how far a sweep goes beyond its band; its ramps lie there
@@ -34,6 +34,11 @@ ORDERS = (2, 3, 4, 5)  # harmonics that count as distortion
 LEAD_PERIODS = 4.0
 SMOOTH_HZ = 1.0  # spectra of sweeps, which are finer, are averaged over so many Hz
 TINY = float(np.finfo(float).tiny)
+DB = 20 / math.log(10)
+ALIVE = 0.8  # least median coherence of a coil that moves at all; of two sweeps of noise it is 0.5
+IN_STEP = 2  # samples by which noise may shift what is in step
+MOST_TURNED = 0.3  # rad by which a third octave of equal sweeps may differ
+PEAK = 10.0  # least height of a correlation's peak over its standard deviation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,79 +166,42 @@ def find_ramp(frequency_hz: Samples, *, band_hz: Band) -> Samples:
 
 
 def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = None) -> Response:
-    """Measure a response from recorded sweeps, with its distortion; recorded: shape (n,) or (axes, n).
+    """Measure a response, H1 = Sxy / Sxx over equal sweeps, and its distortion; recorded: shape (n,) or (axes, n).
 
     sent: what was asked for, if it is not the sweep at its own peak (as when a sweep goes through an inverse filter).
+    Spectra are averaged over periods and over 1 Hz; coherence is |Sxy|² / (Sxx Syy).
     """
-    asked = make_sweep(sweep) if sent is None else sent
-    found = measure_response(
-        asked,
-        recorded,
-        rate_hz=sweep.rate_hz,
-        band_hz=sweep.band_hz,
-        segment=sweep.period,
-        window="boxcar",
-    )
-    along = found.direction @ np.atleast_2d(recorded)
-    mean = along.reshape(sweep.n_repeats, sweep.period).mean(axis=0)
-    distortion = measure_distortion(
-        sweep, np.roll(mean, -found.latency), frequency_hz=found.frequency_hz
-    )
-    return replace(found, distortion=distortion)
-
-
-def measure_response(
-    sent: Samples,
-    recorded: Samples,
-    *,
-    rate_hz: float,
-    band_hz: Band = BAND_HZ,
-    segment: int,
-    window: Literal["hann", "boxcar"] = "hann",
-) -> Response:
-    """Measure a response by H1 = Sxy / Sxx, averaged over segments; recorded: shape (n,) or (axes, n).
-
-    "hann": overlapping segments (Welch), for noise. "boxcar": whole periods one after another, for repeated sweeps;
-    their spectra are averaged over 1 Hz too.
-    Coherence is |Sxy|² / (Sxx Syy).
-    """
-    axes = np.atleast_2d(recorded)
+    asked, axes = make_sweep(sweep) if sent is None else sent, np.atleast_2d(recorded)
     if not (np.isfinite(axes).all() and axes.any()):
         raise ValueError(
             "recorded samples must be finite and not all 0; check that the sensor is connected"
         )
-    # Welch's segments must hold the same stretch of both signals. Periods do already; they are not moved.
-    is_welch, coarse = window == "hann", 0
-    if is_welch:
-        size = sum(np.abs(signal.correlate(axis, sent, method="fft")) ** 2 for axis in axes)
-        coarse = max(int(np.argmax(size)) - (len(sent) - 1), 0)
-    overlap = segment // 2 if is_welch else 0
-    sent, axes = sent[: len(sent) - coarse], axes[:, coarse:]
 
     def average(x: Samples, y: Samples) -> tuple[Samples, Spectrum]:
-        return signal.csd(x, y, rate_hz, window, segment, overlap, detrend=False)
+        return signal.csd(x, y, sweep.rate_hz, "boxcar", sweep.period, 0, detrend=False)
 
-    frequency_hz, sxx = average(sent, sent)
-    sxy = average(sent, axes)[1]
-    inside = find_inside(frequency_hz, band_hz=band_hz)
+    frequency_hz, sxx = average(asked, asked)
+    sxy = average(asked, axes)[1]
+    inside = find_inside(frequency_hz, band_hz=sweep.band_hz)
     raw = sxy / np.maximum(sxx.real, TINY)
     direction, cross_talk_db = find_direction(raw[:, inside])
-    fine, sign = find_latency(direction @ raw, inside=inside)
+    latency, sign = find_latency(direction @ raw, inside=inside)
     direction = sign * direction  # for positive drive
-    turned = direction @ sxy * np.exp(2j * math.pi * frequency_hz * fine / rate_hz)
+    turned = direction @ sxy * np.exp(2j * math.pi * frequency_hz * latency / sweep.rate_hz)
     along = average(direction @ axes, direction @ axes)[1].real
-    n_bins = 1 if is_welch else max(round(SMOOTH_HZ / frequency_hz[1]), 1)
+    n_bins = max(round(SMOOTH_HZ / frequency_hz[1]), 1)
     share = np.abs(turned) ** 2 / np.maximum(sxx.real, TINY)  # what of Syy comes from the coil
     spectra = (sxx.real, turned, share, along)
     sxx, turned, share, syy = (ndimage.uniform_filter1d(one, n_bins) for one in spectra)
+    mean = (direction @ axes).reshape(sweep.n_repeats, sweep.period).mean(axis=0)
     return Response(
-        rate_hz=rate_hz,
-        band_hz=band_hz,
+        rate_hz=sweep.rate_hz,
+        band_hz=sweep.band_hz,
         frequency_hz=frequency_hz,
         response=turned / np.maximum(sxx, TINY),
         coherence=np.clip(share / np.maximum(syy, TINY), 0, 1),
-        distortion=np.full(len(frequency_hz), np.nan),
-        latency=coarse + fine,
+        distortion=measure_distortion(sweep, np.roll(mean, -latency), frequency_hz=frequency_hz),
+        latency=latency,
         direction=direction,
         cross_talk_db=cross_talk_db,
     )
@@ -313,8 +281,8 @@ def make_inverse(
     1; at the band's edges it goes there within half an octave.
 
     phase: "corrected" takes away the coil's phase too, so that what arrives has the shape of what was asked for, later
-    by `delay`; "minimum" and "linear" are the phases of the filter itself. "minimum" undoes the coil's phase without
-    delay, but not within an octave or two of the band's lower edge, where much of a vibration's energy may be.
+    by `delay`; "minimum" undoes it without delay, but not within an octave or two of the band's lower edge, where much
+    of a vibration's energy may be.
     """
     check_band(band_hz, rate_hz=response.rate_hz)
     inside = find_inside(response.frequency_hz, band_hz=band_hz)
@@ -372,15 +340,48 @@ def _make_fir(
     if phase == "minimum":
         taper = signal.windows.tukey(2 * n_taps, 0.5)[n_taps:]
         return fft.irfft(_make_minimum_phase(log_gain.real))[:n_taps] * taper, 0
-    line: Samples = fft.irfft(np.exp(log_gain))
-    if phase == "corrected":
-        # The last `delay` samples of the periodic impulse response, and the first of what is left.
-        delay = min(lead, n_taps // 2)
-        fir = np.roll(line, delay)[:n_taps]
-        n_rise, n_fall = delay // 2, (n_taps - delay) // 2
-        fir[:n_rise] *= np.sin(math.pi / 2 * np.arange(n_rise) / max(n_rise, 1)) ** 2
-        fir[n_taps - n_fall :] *= np.cos(math.pi / 2 * np.arange(n_fall) / max(n_fall, 1)) ** 2
-        return fir, delay
-    delay = (n_taps - 1) // 2
-    line = np.roll(line, delay)[: 2 * delay + 1]
-    return line * signal.windows.tukey(len(line), 0.5), delay
+    # The last `delay` samples of the periodic impulse response, and the first of what is left.
+    delay = min(lead, n_taps // 2)
+    fir: Samples = np.roll(fft.irfft(np.exp(log_gain)), delay)[:n_taps]
+    n_rise, n_fall = delay // 2, (n_taps - delay) // 2
+    fir[:n_rise] *= np.sin(math.pi / 2 * np.arange(n_rise) / max(n_rise, 1)) ** 2
+    fir[n_taps - n_fall :] *= np.cos(math.pi / 2 * np.arange(n_fall) / max(n_fall, 1)) ** 2
+    return fir, delay
+
+
+# Whether samples were lost between equal sweeps.
+
+
+def find_slip(recorded: Samples, sweep: Sweep) -> int:
+    """Find by how many samples later sweeps are out of step with the first one, at most; 0 where noise hides it.
+
+    Over the whole band by correlation with equal weights (Knapp & Carter's phase transform); and by the phase of each
+    third octave, because samples may be lost while the sweep passes through it.
+    """
+    periods = recorded.reshape(len(recorded), sweep.n_repeats, sweep.period)
+    spectra = fft.rfft(periods, axis=-1)
+    frequency_hz = fft.rfftfreq(sweep.period, 1 / sweep.rate_hz)
+    inside = find_inside(frequency_hz, band_hz=sweep.band_hz)
+    cross = (spectra[:, 1:] * spectra[:, :1].conj()).sum(axis=0)
+    pulses = fft.irfft(inside * cross / np.maximum(np.abs(cross), TINY), sweep.period)
+    places = np.argmax(pulses, axis=-1)
+    clear = pulses.max(axis=-1) > PEAK * pulses.std(axis=-1)
+    lags = np.where(clear, np.minimum(places, sweep.period - places), 0)
+    energy = np.square(np.abs(spectra)).sum(axis=0)
+    together, size, middle_hz = (
+        average_thirds(one, frequency_hz, band_hz=sweep.band_hz)
+        for one in (cross, np.sqrt(energy[1:] * energy[:1]), frequency_hz)
+    )
+    turned = np.abs(np.angle(together)) * (np.abs(together) > ALIVE * size)
+    lost = turned * (turned > MOST_TURNED) / (2 * math.pi * middle_hz) * sweep.rate_hz
+    slip = max(int(lags.max()), round(float(lost.max())))
+    return slip if slip > IN_STEP else 0
+
+
+def average_thirds(values: Samples, frequency_hz: Samples, *, band_hz: Band) -> Samples:
+    """Average values, shape (..., k), in third octaves of a band; empty ones are left out."""
+    low, high = band_hz
+    n_bands = max(round(3 * math.log2(high / low)), 1)
+    number = np.floor(n_bands * np.log(np.maximum(frequency_hz, 1e-9) / low) / math.log(high / low))
+    found = [values[..., number == band] for band in range(n_bands)]
+    return np.stack([one.mean(axis=-1) for one in found if one.shape[-1]], axis=-1)

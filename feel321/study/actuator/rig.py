@@ -181,6 +181,19 @@ class SyncTable(fields.TomlTable):
     duration_s: Annotated[fields.Positive, Field(le=1)] = 0.005
 
 
+class TriggerTable(fields.TomlTable):
+    """`[trigger]`: a code on a parallel or serial port at the onset of each stimulus, and 0 after it.
+
+    address: such as `/dev/parport0`, `0x0378`, `/dev/ttyUSB0` or `COM3`.
+    """
+
+    port: Annotated[str, fields.one_of(("parallel", "serial"))]
+    address: fields.Words
+    code: Annotated[int, Field(ge=1, le=255)] = 1
+    duration_s: Annotated[fields.Positive, Field(le=1)] = 0.01
+    baud: Annotated[int, Field(ge=300, le=4_000_000)] = 115_200
+
+
 def _check_band(band_hz: tuple[float, float]) -> tuple[float, float]:
     if not 0 < band_hz[0] < band_hz[1]:
         raise ValueError("must be two frequencies in Hz that rise, such as [20, 1000]")
@@ -194,13 +207,14 @@ Decibels = Annotated[fields.Positive, Field(le=60)]
 class CalibrationTable(fields.TomlTable):
     """`[calibration]`: how `calibrate` measures the coils, and what a certificate must keep to pass.
 
+    max_gain_db: of a filter; where it is not given, gain and band are proposed for each coil by what was measured.
     level: peak of the loudest sweep, as a part of what device and limits allow. sensor_uncertainty_db: from
     its data sheet; gain_uncertainty_db: of typed gains.
     """
 
     band_hz: BandHz = (20.0, 1000.0)
-    max_gain_db: Decibels = 20.0
-    phase: Annotated[str, fields.one_of(("corrected", "minimum", "linear"))] = "corrected"
+    max_gain_db: Decibels | None = None
+    phase: Annotated[str, fields.one_of(("corrected", "minimum"))] = "corrected"
     level: Level = 0.5
     sweep_s: Annotated[fields.Positive, Field(le=60)] = 4.0
     pause_s: Annotated[fields.Positive, Field(le=10)] = 1.0
@@ -235,6 +249,7 @@ class Rig(fields.TomlTable):
     masking: MaskingTable | None = None
     sensor: SensorTable | None = None
     sync: SyncTable | None = None
+    trigger: TriggerTable | None = None
     calibration: CalibrationTable = CalibrationTable()
     simulation: SimulationTable | None = None
     keys: KeysTable = USUAL
@@ -297,15 +312,14 @@ def identify(rig: Rig) -> dict[str, Any]:
     settings = rig.model_dump(mode="json", exclude={"calibration", "keys"})
     if rig.sensor is not None:
         settings["sensor"] = rig.sensor.model_dump(mode="json", exclude_none=True)
-    if rig.simulation is None:
-        del settings["simulation"]
+    for name in ("simulation", "trigger"):
+        if settings[name] is None:
+            del settings[name]
     return settings
 
 
 def digest(rig: Rig) -> str:
-    """Make a digest of all that decides what a stimulus becomes at the hand: device, actuators and sensor."""
-    settings = rig.model_dump(
-        mode="json", include={"device", "actuators", "sensor"}, exclude_none=True
-    )
+    """Make a digest of all that decides what a stimulus becomes at the hand: device and actuators."""
+    settings = rig.model_dump(mode="json", include={"device", "actuators"}, exclude_none=True)
     del settings["device"]["latency_s"]  # when it comes, not what comes
     return hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()

@@ -249,6 +249,7 @@ class Played:
     dac_source: str = ""
     delivered: Mapping[str, float] = field(default_factory=dict)
     delivered_sha256: str = ""
+    fault: str = ""
 
     def __post_init__(self) -> None:
         """Take numbers of the many kinds that devices report, and none of those that are none."""
@@ -277,7 +278,7 @@ class PartPlayed(Played, PartEvent, event="played"):
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        optional = {"measured", "dac_source", "delivered", "delivered_sha256"}
+        optional = {"measured", "dac_source", "delivered", "delivered_sha256", "fault"}
         return {k: v for k, v in super().to_data().items() if v or k not in optional}
 
 

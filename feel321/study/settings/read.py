@@ -34,9 +34,8 @@ from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import (
     LANGUAGE_FILE,
-    FilesTable,
-    FileTable,
-    SceneTable,
+    SCENE_RATE_HZ,
+    RecordingTable,
     Settings,
     TaskTable,
 )
@@ -52,10 +51,10 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     """
     settings = parse_toml(path, Settings)
     session, home = settings.session, folder or path.parent
-    entries: list[SceneTable | FileTable] = []
+    entries: list[RecordingTable] = []
     for number, entry in enumerate(settings.recordings, start=1):
         try:
-            entries += entry.list_entries(home) if isinstance(entry, FilesTable) else [entry]
+            entries += entry.list_entries(home)
         except (NotImplementedError, ValueError) as error:
             raise ValueError(f"{path.name}: recordings[{number}].files {error}") from None
     try:
@@ -183,7 +182,7 @@ def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
 def list_origins(settings: Settings) -> dict[str, str]:
     """List what recordings were made from: one source, rotated, gives recordings that are not independent."""
     return {
-        entry.title: f"{entry.scene} {entry.seed}" if isinstance(entry, SceneTable) else entry.file
+        entry.title: f"{entry.scene} {entry.seed}" if entry.scene else entry.file or ""
         for entry in settings.recordings
     }
 
@@ -210,22 +209,21 @@ def list_unread(settings: Settings, folder: Path) -> list[Unread]:
     ]
 
 
-def open_entry(
-    entry: SceneTable | FileTable, folder: Path, formats: Mapping[str, str]
-) -> Recording:
+def open_entry(entry: RecordingTable, folder: Path, formats: Mapping[str, str]) -> Recording:
     """Read a recording as its table says."""
-    about = {"name", "interaction", "sample", "picture", "rotation", "scene", "file"}
-    own = entry.model_dump(exclude=about)
-    if isinstance(entry, SceneTable):
-        recording = make_scene(entry.scene, rng=own.pop("seed"), **own)
-    elif method := find_format(folder / entry.file, folder=folder, declared=formats):
+    path = folder / (entry.file or "")
+    own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
+    if entry.scene:
+        length = {"rate_hz": entry.rate_hz or SCENE_RATE_HZ, "duration_s": entry.duration_s}
+        recording = make_scene(entry.scene, rng=entry.seed, **length)
+    elif method := find_format(path, folder=folder, declared=formats):
         if given := [name for name, value in own.items() if value]:
             raise ValueError(
                 f"{given[0]} is for feel321's formats, {method} reads this one; leave it out"
             )
-        recording = read_own(method, folder / entry.file)
+        recording = read_own(method, path)
     else:
-        recording = read_recording(folder / entry.file, **own)
+        recording = read_recording(path, **own)
     return recording if entry.rotation is None else turn_recording(recording, entry.rotation)
 
 

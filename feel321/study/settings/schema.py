@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, Discriminator, Field, Tag, ValidationInfo, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from feel321 import intake
 from feel321.protocols import texts
@@ -321,24 +321,15 @@ class TaskTable(kinds.TomlTable):
 # What is felt: `[[recordings]]`, `[stimuli]` and `[rig]`, with methods of the lab's own.
 
 
-class SourceTable(kinds.TomlTable):
-    """`[[recordings]]`: what every entry may say."""
+SCENE_RATE_HZ = 10000.0
+"""Sampling rate of scenes; that of a file is what the file says."""
 
-    name: str = ""
-    sample: kinds.Words | None = None
-    interaction: kinds.Words | None = None
-    picture: kinds.Words | None = None
-    rotation: kinds.Seed | None = None
-
-    @property
-    def title(self) -> str:
-        """The recording's name: `oak` by default for `recordings/oak.csv`, in orientation 1 `oak-r1`."""
-        turned = "" if self.rotation is None else f"-r{self.rotation}"
-        return self.name or f"{self.find_source()}{turned}"
-
-    def find_source(self) -> str:
-        """Find the name of what it was made from."""
-        raise NotImplementedError
+_NOT_OF = {
+    "scene": {"unit", "columns", "full_scale", "resample"},
+    "file": {"seed", "duration_s"},
+    "files": {"seed", "duration_s", "name", "picture"},
+}
+"""What a recording is -> what its table cannot say."""
 
 
 def _check_scene(scene: str) -> str:
@@ -347,56 +338,49 @@ def _check_scene(scene: str) -> str:
     return scene
 
 
-class SceneTable(SourceTable):
-    """`[[recordings]]` with `scene`: a bundled synthetic scene."""
+class RecordingTable(kinds.TomlTable):
+    """`[[recordings]]`: a bundled synthetic `scene`, a `file` of the lab's own, or all `files` of a pattern."""
 
-    scene: Annotated[str, AfterValidator(_check_scene)]
-    seed: kinds.Seed = 0
-    rate_hz: kinds.Rate = 10000.0
-    duration_s: Annotated[kinds.Positive, Field(le=3600)] = 4.0
-
-    @model_validator(mode="after")
-    def _check_size(self) -> Self:
-        n_samples = math.ceil(self.duration_s * self.rate_hz)
-        intake.check_samples(n_samples, AXES, self.rate_hz)
-        return self
-
-    def find_source(self) -> str:
-        """Find the name of the scene."""
-        return self.scene.replace("+", "-")
-
-
-class FileTable(SourceTable):
-    """`[[recordings]]` with `file`: a recording of the lab's own."""
-
-    file: kinds.Words
-    unit: Annotated[str, kinds.one_of(UNITS)] | None = None
+    name: str = ""
+    scene: Annotated[str, AfterValidator(_check_scene)] | None = None
+    file: kinds.Words | None = None
+    files: kinds.Words | None = None
+    sample: kinds.Words | None = None
+    interaction: kinds.Words | None = None
+    picture: kinds.Words | None = None
+    rotation: kinds.Seed | None = None
     rate_hz: kinds.Rate | None = None
+    seed: kinds.Seed = 0
+    duration_s: Annotated[kinds.Positive, Field(le=3600)] = 4.0
+    unit: Annotated[str, kinds.one_of(UNITS)] | None = None
     columns: tuple[str | kinds.Count, ...] | None = None
     full_scale: kinds.Positive | None = None
     resample: bool = False
 
-    def find_source(self) -> str:
-        """Find the name of the file."""
-        return PurePath(self.file).stem
-
-
-class FilesTable(FileTable):
-    """`[[recordings]]` with `files`: as many entries with `file` as there are files that match a pattern."""
-
-    files: kinds.Words
-    file: str = Field(default="", exclude=True)
-
     @model_validator(mode="after")
-    def _check_single(self) -> Self:
-        if single := [name for name in ("file", "name", "picture") if getattr(self, name)]:
-            raise ValueError(
-                f"must not have {single[0]} beside files: it applies to a single file; leave it out"
-            )
+    def _check_kind(self) -> Self:
+        given = [kind for kind in _NOT_OF if getattr(self, kind)]
+        if len(given) != 1:
+            got = " and ".join(given) or "none"
+            raise ValueError(f"must have one of {', '.join(_NOT_OF)}, got {got}")
+        if wrong := sorted(self.model_fields_set & _NOT_OF[given[0]]):
+            raise ValueError(f"{wrong[0]} does not go with {given[0]}; leave it out")
+        if self.scene:
+            rate_hz = self.rate_hz or SCENE_RATE_HZ
+            intake.check_samples(math.ceil(self.duration_s * rate_hz), AXES, rate_hz)
         return self
 
-    def list_entries(self, folder: Path) -> list[FileTable]:
-        """List an entry for each file, sorted by path; the paths are relative to the study's folder."""
+    @property
+    def title(self) -> str:
+        """The recording's name: `oak` by default for `recordings/oak.csv`, in orientation 1 `oak-r1`."""
+        turned = "" if self.rotation is None else f"-r{self.rotation}"
+        source = self.scene.replace("+", "-") if self.scene else PurePath(self.file or "").stem
+        return self.name or f"{source}{turned}"
+
+    def list_entries(self, folder: Path) -> list["RecordingTable"]:
+        """List itself, or an entry for each file of a pattern, sorted by path relative to the study's folder."""
+        if self.files is None:
+            return [self]
         if Path(self.files).is_absolute():
             raise ValueError(
                 f"must be within the study's folder, got {self.files!r}; link it there"
@@ -407,30 +391,12 @@ class FilesTable(FileTable):
             raise ValueError(
                 f"must match at least one file, got {self.files!r}; write a pattern such as 'corpus/*.wav'"
             )
-        own = self.model_dump(exclude={"files"})
-        return [FileTable(file=name, **own) for name in names]
+        return [self.model_copy(update={"files": None, "file": name}) for name in names]
 
 
-def _find_kind(entry: object) -> str:
-    for kind, table in {"scene": SceneTable, "files": FilesTable}.items():
-        if isinstance(entry, table) or (isinstance(entry, dict) and kind in entry):
-            return kind
-    return "file"
-
-
-RecordingTable = Annotated[
-    Annotated[SceneTable, Tag("scene")]
-    | Annotated[FileTable, Tag("file")]
-    | Annotated[FilesTable, Tag("files")],
-    Discriminator(_find_kind),
-]
-
-
-def _check_titles(
-    recordings: tuple[SceneTable | FileTable, ...],
-) -> tuple[SceneTable | FileTable, ...]:
+def _check_titles(recordings: tuple[RecordingTable, ...]) -> tuple[RecordingTable, ...]:
     """Check the names of recordings, as far as they are known before patterns are followed."""
-    titles = [one.title for one in recordings if not isinstance(one, FilesTable)]
+    titles = [one.title for one in recordings if one.files is None]
     if titles or not recordings:
         check_names(kinds.check_some(tuple(titles)))
     return recordings

@@ -14,7 +14,7 @@ from feel321 import analysis
 from feel321.analysis.association import correlate
 from feel321.analysis.page import render_words
 from feel321.analysis.report.answer import find_row
-from feel321.analysis.report.choices import compute
+from feel321.analysis.report.pairs import compute_choices as compute
 from feel321.analysis.resampling import Choices
 
 if TYPE_CHECKING:

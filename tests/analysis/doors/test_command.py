@@ -88,22 +88,6 @@ def test_what_cannot_be_read_is_one_line_and_no_report(
     assert not out.exists()
 
 
-ONLY = {
-    "references only": lambda f: f[f["reducer"] == "original"],
-    "anchors only": lambda f: f[f["reducer"] == "anchor_low"],
-}
-
-
-@pytest.mark.parametrize("change", ONLY.values(), ids=ONLY)
-def test_without_test_stimuli_there_is_no_analysis(
-    small: object, folder: Path, change: Change
-) -> None:
-    edit(small.ratings, change)
-    with pytest.raises(ValueError, match="must be of one stimulus or more with role 'test'"):
-        write_report(small.ratings, small.manifest, folder, draws=2, rng=0)
-    assert not folder.exists()
-
-
 def set_ratings(make: Callable[[pd.DataFrame], object]) -> Change:
     return lambda frame: frame.assign(rating=make(frame))
 
@@ -176,21 +160,3 @@ def test_what_little_there_is_becomes_a_page(
     assert (folder / "index.html").is_file()
     written = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     assert written["notes"] == list(results.notes)
-
-
-METRICS = {
-    "extreme": (lambda f: f.assign(spectral_match=f["spectral_match"].mask(f.index == 0, "-2337")), ""),
-    "constant": (
-        lambda f: f.assign(spectral_match="0.5", temporal_match="0.3"), "none of which differs between stimuli of",
-    ),
-    "alike": (lambda f: f.assign(temporal_match=f["spectral_match"]), "No term temporal_match_w: it is a sum of spec"),
-}  # fmt: skip
-
-
-@pytest.mark.usefixtures("sketched")
-@pytest.mark.parametrize(("change", "note"), list_cases(METRICS))
-def test_odd_metrics_become_a_page(small: object, folder: Path, change: Change, note: str) -> None:
-    edit(small.manifest, change)
-    results = write_report(small.ratings, small.manifest, folder, draws=2, rng=0)
-    assert any(note in told for told in results.notes)
-    assert (folder / "index.html").is_file()

@@ -12,8 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.table.reading import read_table
-from feel321.analysis.table.sheets import read_ratings
+from feel321.analysis.table.reading import read_ratings, read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,7 +106,7 @@ FOREIGN = [
     ),
     (
         lambda t: t.encode("utf-16-le"),
-        "must be UTF-8 text, got other bytes (zeros); is it the right file? Save it as CSV",
+        "line 1: must be UTF-8 text, got a zero byte; is the file damaged? Save it as CSV",
     ),
     (lambda t: t.replace("p2", "J\xf6rg").encode("latin-1"), "not UTF-8 text (invalid"),
     (
@@ -121,7 +120,7 @@ FOREIGN = [
     (lambda t: b"\xd0\xcf\x11\xe0" + t.encode(), "got an old Excel file"),
     (
         lambda t: t.encode() + b"\n" * 600 + b"\0",
-        "line 610: must be text, got a zero byte; is the file damaged?",
+        "line 610: must be UTF-8 text, got a zero byte; is the file damaged?",
     ),
     (
         lambda t: t.replace("p1", '"p1', 1).encode(),

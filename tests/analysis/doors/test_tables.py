@@ -153,14 +153,6 @@ def test_index_and_order_of_a_table_mean_nothing(name: str, rated: pd.DataFrame)
         check_equal(CALLS[name](rows), plain)
 
 
-@pytest.mark.parametrize(
-    "name", ["correlate", "fit_attributes", "fit_primary", "profile_reducers", "screen_raters"]
-)
-def test_names_in_the_index_are_columns(name: str, rated: pd.DataFrame) -> None:
-    named = rated.set_index(["participant", "scale", "level", "recording"]).reset_index("recording")
-    check_equal(CALLS[name](named), CALLS[name](rated))
-
-
 @pytest.mark.parametrize("name", POOLED)
 def test_levels_are_not_pooled(name: str, tidy: Callable[..., pd.DataFrame]) -> None:
     both = tidy(participants=2, recordings=4, levels=("as_is", "equal_intensity"), anchors=False)
@@ -176,34 +168,6 @@ def test_scales_are_not_pooled(name: str, tidy: Callable[..., pd.DataFrame]) -> 
         ValueError, match="must be of one scale, got the scales realism, similarity"
     ):
         CALLS[name](both)
-
-
-def test_a_model_to_each_level(tidy: Callable[..., pd.DataFrame]) -> None:
-    both = tidy(participants=3, levels=("as_is", "equal_intensity"), anchors=False, repeats=1)
-    models = analysis.fit_attributes(both, METRICS, attribute="level")
-    for level, model in models.items():
-        alone = analysis.fit_primary(both[both["level"] == level], METRICS)
-        pd.testing.assert_frame_equal(model.slopes, alone.slopes)
-
-
-def test_references_of_another_level_and_levels_in_decibels_are_no_arms(
-    rated: pd.DataFrame,
-) -> None:
-    named = rated.assign(level=rated["level"].mask(rated["role"] != "test", "reference"))
-    check_equal(CALLS["fit_primary"](named), CALLS["fit_primary"](rated))
-    numbers = rated.assign(level=rated.groupby("stimulus_id").ngroup() % 7)
-    assert analysis.correlate(numbers, "level", draws=2, rng=make_rng()).metric == "level"
-
-
-def test_levels_of_one_name_are_items_of_their_own_in_screening(
-    tidy: Callable[..., pd.DataFrame],
-) -> None:
-    both = tidy(participants=6, levels=("as_is", "equal_intensity"), repeats=1)
-    short = both.assign(stimulus_id=both["recording"] + both["reducer"])
-    one, other = analysis.screen_raters(short), analysis.screen_raters(both)
-    assert len(one.items) == len(other.items)
-    pd.testing.assert_frame_equal(one.table, other.table)
-    pd.testing.assert_frame_equal(one.panel, other.panel)
 
 
 def test_no_table_and_doubled_columns_are_refused(rated: pd.DataFrame) -> None:

@@ -8,12 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.page import render_words
-from feel321.analysis.report.answer import find_row
-from feel321.analysis.report.raters import compute
-from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.consistency import find_apart, rater_model
-from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -81,12 +76,6 @@ def test_those_who_click_at_random_stand_apart_and_nobody_else(n_bad: int) -> No
     assert found >= 18  # one panel in twenty may name an honest rater besides
 
 
-def test_somebody_who_reverses_the_scale_stands_apart() -> None:
-    rows = make_votes(7)
-    rows.loc[rows["participant"] == "p03", "rating"] = 100 - rows["rating"]
-    assert rater_model(rows).apart == ("p03",)
-
-
 @pytest.mark.parametrize("heterogeneity", [0.0, 0.3])
 def test_honest_panels_are_left_in_peace(heterogeneity: float) -> None:
     alarms = 0
@@ -136,35 +125,3 @@ def test_the_ratings_of_one_do_not_become_the_qualities() -> None:
         assert model.raters["inconsistency"].min() > 3
         collapsed += any("count alike" in note for note in model.notes)
     assert collapsed
-
-
-def test_few_raters_are_not_compared() -> None:
-    rows = make_votes(1)
-    model = rater_model(rows[rows["participant"].isin(PEOPLE[:5])])
-    assert not model.raters["apart"].any()
-    assert model.notes == (
-        "Unusually inconsistent raters cannot be found: 6 raters are needed to estimate how much honest ones differ.",
-    )
-
-
-def test_the_report_says_it_in_words(files: Callable[..., object]) -> None:
-    study = files(participants=10, scales=("realism",), noise=5.0)
-    ratings = pd.read_csv(study.ratings)
-    names, rng = sorted(ratings["participant"].unique()), np.random.default_rng(1)
-    ratings.loc[ratings["participant"] == names[0], "rating"] = rng.uniform(
-        0, 100, int((ratings["participant"] == names[0]).sum())
-    ).round(1)
-    high = ratings["participant"] == names[1]
-    ratings.loc[high, "rating"] = (ratings.loc[high, "rating"] + 20).clip(upper=100)
-    ratings.to_csv(study.ratings, index=False)
-    section = compute(read_table(study.ratings, study.manifest), Choices(draws=10))
-    (told,) = (
-        one for one in render_words("raters", **section.facts) if one.startswith("Rater model")
-    )
-    assert told.startswith(f"Rater model of realism ratings: {names[1]} rates ")
-    assert f"{names[0]} is far less consistent than the others" in told
-    rows = section.rows["rater_model"]
-    bias = find_row(rows, "bias", participant=names[1])
-    assert bias["low"] < bias["value"] < bias["high"]
-    assert f"{names[1]} rates {bias['value']:.1f} points higher" in told
-    assert len({row["participant"] for row in rows}) == 10

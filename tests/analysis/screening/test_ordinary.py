@@ -93,7 +93,6 @@ def test_rules_of_mushra_are_not_applied_to_other_protocols(protocol: str) -> No
     bound = [name for name, rule in RULES.items() if rule.protocols == SIGHTED]
     found = screen_raters(table)
     assert found.share[bound].isna().all(axis=None)
-    assert found.excerpts.empty
     note = f"Rules {', '.join(map(repr, bound))} not applied: for MUSHRA ratings, where the reference is in sight; "
     assert f"{note}these are of {protocol}." in found.notes
     # The same ratings as MUSHRA: nearly nobody knows the reference again.
@@ -138,19 +137,6 @@ def test_a_scale_of_few_steps_is_known_by_its_steps() -> None:
     # Sliders left at few places are no steps: everybody at one of two neighbouring points.
     lazy = simulate("realism").assign(rating=lambda table: 50 + (table["rating"] > 50))
     assert len(screen_raters(lazy, rules=["straight_lining"]).hits["straight_lining"]) == PEOPLE
-
-
-def test_neighbours_of_the_step_that_most_chose_are_no_outliers() -> None:
-    names = [f"s{number}" for number in range(10)]
-    rows = [
-        (f"p{who}", name, 75.0 if who != place % 8 else 50.0)
-        for who in range(8)
-        for place, name in enumerate(names)
-    ]
-    table = pd.DataFrame(rows, columns=["participant", "stimulus_id", "rating"])
-    assert screen_raters(table, rules=["outliers"]).count["outliers"].sum() == 0
-    far = table.assign(rating=table["rating"].where(table["participant"] != "p1", 25.0))
-    assert screen_raters(far, rules=["outliers"]).hits["outliers"] == ("p1",)
 
 
 @pytest.mark.skipif(

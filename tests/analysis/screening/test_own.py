@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.report.write import write_report
-from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import screen_raters
 
 if TYPE_CHECKING:
@@ -96,14 +95,3 @@ def test_a_rule_that_is_wrong_is_one_line(
         screen_raters(ratings, own=[rule])
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_names_are_free(ratings: pd.DataFrame) -> None:
-    def outliers(_ratings: pd.DataFrame) -> dict[str, float]:
-        return {}
-
-    assert outliers.__name__ in RULES
-    with pytest.raises(ValueError, match="the name 'outliers' is taken by one of feel321's own"):
-        screen_raters(ratings, own=[outliers])
-    with pytest.raises(ValueError, match="names of their own, got more than one mine"):
-        screen_raters(ratings, own=[use(told={}), use(told={})])

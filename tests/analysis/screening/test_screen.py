@@ -147,9 +147,6 @@ def test_an_excerpt_that_the_anchor_did_not_degrade_does_not_count(
         lenient & (table["reducer"] == "anchor_mid") & (table["recording"] == "r0"), "rating"
     ] = 95.0
     found = screen_raters(table, rules=["mid_anchor", "hidden_reference"])
-    assert found.excerpts.set_index("recording")["counts"].to_dict() == {
-        f"r{n}": n > 0 or counts for n in range(10)
-    }
     assert (found.table["n"] == (20 if counts else 18)).all()
 
 
@@ -181,12 +178,6 @@ def test_items_tell_two_camps() -> None:
     assert (items["n"] == 30).all()
 
 
-def test_limits_of_ones_own() -> None:
-    table = SPOILED["low_anchor"](panel())
-    assert screen_raters(table, rules={"low_anchor": 1.0}).hits == {"low_anchor": ()}
-    assert screen_raters(table, rules="low_anchor").hits == {"low_anchor": ("p03",)}
-
-
 def test_rules_without_data_say_so() -> None:
     bare = panel(repeats=1).query("role == 'test'")[
         ["participant", "recording", "reducer", "rating"]
@@ -197,69 +188,6 @@ def test_rules_without_data_say_so() -> None:
     assert {note.split("'")[1] for note in found.notes} == silent
     assert "Rule 'too_fast' not applied: it needs column 'response_time_s'." in found.notes
     assert not found.table["hit"].any()
-
-
-def test_one_rater_alone_is_screened_as_far_as_it_goes() -> None:
-    found = screen_raters(panel(people=1), rng=np.random.default_rng(0))
-    assert found.hits == dict.fromkeys(RULES, ())
-    assert found.share["hidden_reference"].tolist() == [0.0]
-    assert np.isnan(found.share["reversed_scale"]).all()
-    assert found.panel[["icc_a_1", "alpha"]].isna().all(axis=None)
-
-
-def test_references_only() -> None:
-    found = screen_raters(panel().query("role == 'reference'"), rng=np.random.default_rng(0))
-    assert found.hits == dict.fromkeys(RULES, ())
-    assert found.items.empty
-    assert found.gauge.empty
-
-
-def test_constant_ratings_are_straight_lines_and_nothing_else() -> None:
-    found = screen_raters(
-        panel().query("role == 'test'").assign(rating=50.0), rng=np.random.default_rng(0)
-    )
-    assert [rule for rule, hit in found.hits.items() if hit] == ["straight_lining"]
-
-
-def test_missing_cells_do_not_matter() -> None:
-    table = SPOILED["reversed_scale"](panel())
-    holes = table.sample(frac=0.6, random_state=2)
-    assert screen_raters(holes, rules=["reversed_scale"]).hits == {"reversed_scale": ("p03",)}
-
-
-def test_numbers_written_as_text_are_numbers() -> None:
-    plain = panel()
-    pd.testing.assert_frame_equal(
-        screen_raters(plain.astype({"rating": str})).table, screen_raters(plain).table
-    )
-
-
-def test_participants_may_be_numbers_words_and_categories() -> None:
-    plain = screen_raters(SPOILED["reversed_scale"](panel()), rng=np.random.default_rng(0))
-    for names in ({"p00": 1, "p01": 0}, {f"p{number:02d}": number for number in range(PEOPLE)}):
-        table = SPOILED["reversed_scale"](panel())
-        renamed = screen_raters(
-            table.assign(participant=[names.get(who, who) for who in table["participant"]])
-        )
-        assert renamed.hits["reversed_scale"] == tuple(
-            names.get(who, who) for who in plain.hits["reversed_scale"]
-        )
-        assert renamed.hit.any(axis=1).sum() == plain.hit.any(axis=1).sum()
-    words = ["participant", "recording", "reducer", "scale", "level", "role"]
-    for kind in ("category", "string"):
-        table = SPOILED["reversed_scale"](panel()).astype(dict.fromkeys(words, kind))
-        assert screen_raters(table, rng=np.random.default_rng(0)).hits == plain.hits
-
-
-def test_order_of_rows_does_not_matter() -> None:
-    table = panel()
-    shuffled = table.sample(frac=1, random_state=0)
-    names = [name for name in RULES if name != EXPERTISE]
-    pd.testing.assert_frame_equal(
-        screen_raters(shuffled, rules=names).table,
-        screen_raters(table, rules=names).table,
-        check_exact=False,
-    )
 
 
 def test_the_gauge_of_shuffled_ratings_is_uniform() -> None:
@@ -335,19 +263,6 @@ def test_retest_is_pearsons_r_of_the_pairs() -> None:
     assert found["repeat_sd"].to_numpy() == pytest.approx(np.array(spread))
 
 
-def test_reversal_is_pearsons_r_with_the_others() -> None:
-    table = SPOILED["reversed_scale"](panel())
-    means = table[table["role"] == "test"].pivot_table(
-        "rating", "participant", ["recording", "reducer"]
-    )
-    expected = [
-        np.corrcoef(means.loc[who], means.drop(index=who).mean())[0, 1] for who in means.index
-    ]
-    assert screen_raters(table).share["reversed_scale"].to_numpy() == pytest.approx(
-        np.array(expected)
-    )
-
-
 def test_gauge_is_an_analysis_of_variance() -> None:
     from scipy.stats import f_oneway
 
@@ -365,12 +280,6 @@ def test_gauge_is_an_analysis_of_variance() -> None:
     ] == pytest.approx(1 / 500)
     ratio = found.xs("discrimination", level="measure") / found.xs("reliability", level="measure")
     assert ratio.mean() == pytest.approx(1)  # each rater's items against the panel's average
-
-
-def test_without_repeats_only_agreement_is_gauged() -> None:
-    gauge = screen_raters(panel(repeats=1), rules=[EXPERTISE], rng=np.random.default_rng(0)).gauge
-    assert gauge.loc[gauge["value"].notna(), "measure"].unique().tolist() == ["agreement"]
-    assert gauge.loc[gauge["value"].isna(), ["floor", "p"]].isna().all(axis=None)
 
 
 def test_repeats_are_counted_not_spelt() -> None:
@@ -393,30 +302,3 @@ def test_eight_are_enough_and_seven_are_not(rule: str, repeats: int) -> None:
     for number, known in ((8, True), (7, False)):
         found = screen_raters(tests.merge(items.head(number)), [rule])
         assert found.share[rule].notna().tolist() == [known] * 5
-
-
-@pytest.mark.parametrize(
-    ("rule", "which", "allowed", "beyond"),
-    [
-        ("hidden_reference", "original", 90.0, 89.9),
-        ("mid_anchor", "anchor_mid", 90.0, 90.1),
-        ("low_anchor", "anchor_low", 50.0, 50.1),
-        ("too_fast", "", 0.5, 0.49),
-    ],
-)
-def test_the_limit_itself_is_allowed(rule: str, which: str, allowed: float, beyond: float) -> None:
-    table = panel(people=5)
-    column = "rating" if which else "response_time_s"
-    at = (table["participant"] == "p03") & (table["reducer"].eq(which) if which else True)
-    for value, hits in ((allowed, ()), (beyond, ("p03",))):
-        screening = screen_raters(table.assign(**{column: table[column].mask(at, value)}), [rule])
-        assert screening.hits[rule] == hits
-
-
-def test_shuffled_ratings_that_do_as_well_count_against_a_rater() -> None:
-    """Both stimuli get the same two ratings: nothing can discriminate less, so p is 1."""
-    rows = [(who, item, score) for who in "ab" for item in "xyz" for score in (0.0, 100.0)]
-    table = pd.DataFrame(rows, columns=["participant", "stimulus_id", "rating"])
-    gauge = screen_raters(table, [EXPERTISE], rng=0).gauge
-    found = gauge[gauge["measure"] == "discrimination"]
-    assert found[["value", "p"]].to_numpy().tolist() == [[0.0, 1.0]] * 2

@@ -227,15 +227,6 @@ def pulse(request: pytest.FixtureRequest, pulses: Callable[[int], Pulse]) -> Pul
     return pulses(getattr(request, "param", 4))
 
 
-@pytest.fixture
-def fresh_pulse(pulses: Callable[[int], Pulse]) -> Pulse:
-    """A server that nobody has used: one whose clients came and went may swallow the begin of a duplex stream."""
-    pulse = pulses(4)
-    pulse.kill()
-    pulse.start()
-    return pulse
-
-
 class Player:
     """A process that plays on a rig; it does what it is told, one line at a time."""
 

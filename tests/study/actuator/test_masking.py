@@ -109,14 +109,6 @@ def test_the_next_stimulus_decides_whether_it_goes(gap: int, is_gone: bool) -> N
         assert_array_equal(heard, 1)
 
 
-def test_what_never_began_leaves_no_noise() -> None:
-    watch = masker()
-    watch.cover(0, 500)
-    run(watch, 100)
-    watch.release(100)
-    assert not run(watch, 1000, frame=100).any()
-
-
 def test_what_is_stopped_while_it_comes_goes_again() -> None:
     watch = masker()
     watch.cover(0, LEAD)
@@ -126,18 +118,3 @@ def test_what_is_stopped_while_it_comes_goes_again() -> None:
     assert not heard[LEAD:].any()
     assert watch.cover(210, 0) == 210 + LEAD
     assert_array_equal(run(watch, 300, frame=210)[RAMP:], 1)
-
-
-def test_without_ramp_and_lead_it_is_there_with_the_vibration() -> None:
-    watch = masker(ramp=0, lead=0)
-    assert watch.cover(0, 7) == 7
-    watch.release(20)
-    heard = run(watch, 40)
-    assert_array_equal(np.flatnonzero(heard), np.arange(7, 20))
-
-
-def test_the_noise_goes_on_over_its_seam() -> None:
-    noise = np.arange(1, 101, dtype=np.float32)
-    watch = Masker(noise, columns=COLUMNS, ramp_frames=1, lead_frames=1, max_frames=64)
-    watch.cover(0, 1)
-    assert_array_equal(run(watch, 256), np.resize(noise, 256))

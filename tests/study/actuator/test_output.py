@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from threading import Event
+from time import perf_counter, sleep
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +19,11 @@ from feel321.study.actuator.device import (
     BlockTimes,
     Device,
     DeviceStream,
+    Trigger,
     check_channels,
     find_device,
     list_devices,
+    open_port,
     refresh_devices,
 )
 from feel321.study.actuator.mixer import Cue
@@ -29,9 +32,9 @@ from feel321.study.actuator.rig import (
     ActuatorTable,
     DeviceTable,
     LimitsTable,
-    MaskingTable,
     Rig,
     SensorTable,
+    TriggerTable,
 )
 
 if TYPE_CHECKING:
@@ -73,17 +76,6 @@ def test_a_device_is_the_one_that_is_named_and_no_other(
         return
     with pytest.raises(OSError, match=found):
         find_device(devices, name, host_api=host_api)
-
-
-@pytest.mark.parametrize(
-    ("name", "host_api", "is_program"),
-    [
-        (COILS.name, "ALSA", False), ("pulse", "ALSA", True), ("coils", "Windows WASAPI", False),
-        ("coils", "JACK Audio Connection Kit", True), ("coils", "Core Audio", False),
-    ],
-)  # fmt: skip
-def test_a_program_before_the_card_is_known(name: str, host_api: str, is_program: bool) -> None:
-    assert Device(0, name, host_api, 2, 0).is_program is is_program
 
 
 def test_every_channel_that_the_rig_names_has_to_be_there() -> None:
@@ -146,32 +138,13 @@ def make_take(n: int = 1000) -> Take:
 
 
 def test_onset_end_and_faults_are_known_to_the_sample_until_all_is_out(cue: Cue) -> None:
-    take = Take(TAKE_HZ, DELAY_S)
+    take = Take(TAKE_HZ, DELAY_S, held_s=DELAY_S)
     out = run(take, cue, onset=230, has_run_dry={1, 3, 6, 9}, has_lost_input={2})
     assert take.onset_s == pytest.approx(5.23 + DELAY_S)
     assert take.end_s == pytest.approx(5.38 + DELAY_S)
     assert 5 + out / 10 >= take.end_s > 5 + (out - 1) / 10
-    assert (take.n_underruns, take.n_sensor_gaps, take.n_blocks) == (3, 1, out + 1)
-
-
-def test_a_device_without_times_is_out_by_frames(cue: Cue) -> None:
-    take = Take(TAKE_HZ, DELAY_S)
-    take.cue = cue
-    cue.onset_frame, cue.n_played, cue.is_over = 0, 150, True
-    for frame in range(0, 2000, N):
-        take.add_block(BlockTimes(0, 1.0), frame=frame)
-        if take.is_out:
-            break
-    assert frame == 700  # the first block that begins two latencies after the end
-
-
-def test_a_stop_in_the_gap_has_no_onset_and_what_is_held_still_comes(cue: Cue) -> None:
-    take = Take(TAKE_HZ, DELAY_S)
-    take.cue, cue.is_over = cue, True
-    for now_s, frame, is_out in ((5.0, 0, False), (5.1, 100, False), (5.3, 200, True)):
-        take.add_block(BlockTimes(now_s, now_s + DELAY_S), frame=frame)
-        assert take.is_out is is_out
-    assert take.onset_s is None
+    assert take.find_underruns() == [70, 150]  # the one at frame 100 is in the gap
+    assert (len(take.dry_frames), take.n_sensor_gaps, take.n_blocks) == (3, 1, out + 1)
 
 
 @pytest.mark.parametrize(("room", "last"), [(1000, None), (120, 350)])
@@ -188,16 +161,41 @@ def test_the_sensor_is_kept_from_the_onsets_frame_until_the_ringing_is_over(
     assert last is not None or take.n_sensed >= 150 + (DELAY_S + SENSOR_TAIL_S) * TAKE_HZ
 
 
-def test_what_is_sensed_stays_in_its_place_if_the_onsets_block_was_missed(cue: Cue) -> None:
-    take = make_take()
-    cue.onset_frame, cue.n_played = 230, 100
-    for frame in (200, 300, 400):
-        take.add_block(BlockTimes(frame / 1000, frame / 1000 + DELAY_S), frame=frame)
-        take.record(np.arange(frame, frame + N, dtype=np.float32)[:, None], frame=frame)
-        take.cue = cue  # the session says which cue it is after the first block
-    assert take.sensor is not None
-    assert take.onset_s == pytest.approx(0.23 + DELAY_S)
-    assert_array_equal(take.sensor[: take.n_sensed, 0], [0.0] * 70 + list(range(300, 500)))
+class Port:
+    """A port that remembers what was sent to it."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.sent: list[tuple[int, float]] = []
+        self.clock = clock
+
+    def __call__(self, code: int) -> None:
+        self.sent.append((code, self.clock()))
+
+
+def test_a_trigger_is_sent_at_the_onset_and_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = Port(perf_counter)
+    monkeypatch.setattr("feel321.study.actuator.device.open_port", lambda _: port)
+    table = TriggerTable(port="serial", address="COM3", code=7, duration_s=0.02)
+    trigger, onset_s = Trigger(table, perf_counter), perf_counter() + 0.05
+    known = iter([None, None])
+    trigger.watch(lambda: next(known, onset_s))
+    while trigger.sent_s is None:
+        sleep(0.001)
+    sleep(0.05)
+    trigger.leave()
+    (code, first_s), (none, second_s) = port.sent
+    assert (code, none, trigger.error) == (7, 0, "")
+    assert 0 <= first_s - onset_s < 0.02
+    assert second_s - first_s >= 0.02
+    trigger.watch(lambda: None)
+    trigger.leave()
+    assert trigger.sent_s is None  # it never began
+
+
+def test_a_port_that_does_not_open_is_one_line() -> None:
+    with pytest.raises(OSError, match="trigger: serial port /nowhere does not open") as refusal:
+        open_port(TriggerTable(port="serial", address="/nowhere"))
+    assert "\n" not in str(refusal.value)
 
 
 # A stream that asks for a block whenever a test says so.
@@ -352,16 +350,6 @@ def raise_foreign(*_: object) -> None:
     raise RuntimeError("Error getting stream time")
 
 
-@pytest.mark.usefixtures("sounddevice")
-def test_clocks_are_compared_by_the_fastest_reading(monkeypatch: pytest.MonkeyPatch) -> None:
-    readings = iter([0, 1, 10, 10.1, 20, 30, 40, 50, 60, 70, 0])
-    line, stream, _ = open_line(clock=lambda: next(readings))
-    assert line.compare_clocks() == pytest.approx(10.05 - 50)
-    del stream.time
-    monkeypatch.setattr(StandIn, "time", property(raise_foreign), raising=False)
-    assert np.isnan(line.compare_clocks())  # it has died
-
-
 def test_what_portaudio_refuses_is_one_line(
     sounddevice: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -453,23 +441,6 @@ def test_a_playback_is_played_and_sensed(
     assert "file_number" not in played.measured
 
 
-def test_an_onset_of_a_device_without_times_is_marked_as_estimated(
-    open_on_stand_in: Callable[..., Opened], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    output, stream = open_on_stand_in()
-    # One that dies while clocks are compared leaves no NaN either.
-    monkeypatch.setattr(DeviceStream, "compare_clocks", lambda _: float("nan"))
-    output.start("a", gap_s=0.03)
-    begin_s = stream.time
-    while output.is_playing:
-        stream.ask(dac_s=stream.time)
-    played = output.collect()
-    assert (played.completed, played.dac_source) == (True, "latency")
-    assert played.measured["dac_time_s"] == pytest.approx(begin_s + 0.03 + 0.1)
-    assert played.onset_s is not None
-    assert np.isfinite(played.onset_s)
-
-
 def test_a_device_that_hangs_does_not_hang_the_session(
     open_on_stand_in: Callable[..., Opened], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -517,102 +488,6 @@ def test_what_died_with_a_device_is_not_heard_from_the_next(
     assert not old.ask().any()  # the old one comes back, and is not to play beside the new one
 
 
-def test_a_stop_is_measured_from_the_first_of_several(
-    open_on_stand_in: Callable[..., Opened],
-) -> None:
-    session = Clock()
-    output, stream = open_on_stand_in(clock=session)
-    output.start("a", gap_s=0.0)
-    stream.ask()
-    output.stop()
-    assert output.is_playing  # what it holds is still to come
-    early = output.collect()
-    assert (early.completed, early.error) == (False, "")
-    session.wait(0.05)
-    output.stop()
-    while output.is_playing:
-        stream.ask()
-    played = output.collect()
-    assert (played.completed, played.error, played.measured["n_samples"]) == (False, "", 104)
-    # The session's clock stood still at the first; the device's says 100 samples, a fade, and its latency.
-    assert played.measured["stop_s"] == pytest.approx(0.104 + 0.1)
-
-
-@pytest.mark.parametrize(("n_silent", "is_refused"), [(2, False), (3, True)])
-def test_a_stream_that_stands_at_first_is_opened_again(
-    sounddevice: SimpleNamespace,  # noqa: ARG001 - must be there
-    monkeypatch: pytest.MonkeyPatch,
-    clock: Clock,
-    n_silent: int,
-    is_refused: bool,
-) -> None:
-    starts: list[StandIn] = []
-
-    def start(stream: StandIn) -> None:
-        starts.append(stream)
-        stream.active = len(starts) > n_silent
-
-    def wait(wait_s: float) -> None:
-        clock.wait(wait_s)
-        starts[-1].ask()
-
-    monkeypatch.setattr(StandIn, "start", start)
-    monkeypatch.setattr("feel321.study.actuator.output.sleep", wait)
-    output = Output(RIG, {}, rate_hz=RATE_HZ, clock=clock)
-    if is_refused:
-        with pytest.raises(OSError, match="'coils' does not run; is it in use elsewhere"):
-            output.open()
-    else:
-        output.open()
-    assert len(starts) == 3
-
-
-@pytest.mark.parametrize(("opening_s", "silent_s"), [(2 * STALL_S, 0.0), (0.0, STALL_S + 1.0)])
-def test_a_device_may_be_slow_to_open_and_to_ask_for_its_first_block(
-    sounddevice: SimpleNamespace,  # noqa: ARG001 - must be there
-    monkeypatch: pytest.MonkeyPatch,
-    clock: Clock,
-    opening_s: float,
-    silent_s: float,
-) -> None:
-    streams: list[StandIn] = []
-    make, first_s = StandIn.__init__, clock.now_s + silent_s
-
-    def make_slowly(stream: StandIn, **settings: Any) -> None:
-        clock.wait(opening_s)
-        make(stream, **settings)
-        streams.append(stream)
-
-    def wait(wait_s: float) -> None:
-        clock.wait(wait_s)
-        if clock.now_s > first_s:
-            streams[-1].ask()
-
-    monkeypatch.setattr(StandIn, "__init__", make_slowly)
-    monkeypatch.setattr("feel321.study.actuator.output.sleep", wait)
-    Output(RIG, {}, rate_hz=RATE_HZ, clock=clock).open()
-    assert len(streams) == 1
-
-
-@pytest.mark.parametrize("is_hanging", [False, True])
-def test_a_device_that_nobody_looked_at_is_given_a_moment(
-    open_on_stand_in: Callable[..., Opened],
-    monkeypatch: pytest.MonkeyPatch,
-    clock: Clock,
-    is_hanging: bool,
-) -> None:
-    output, stream = open_on_stand_in(clock=clock)
-    clock.wait(60.0)
-    if is_hanging:
-        ask = StandIn.ask
-        monkeypatch.setattr(
-            StandIn, "ask", lambda s, **told: None if s is stream else ask(s, **told)
-        )
-    output.start("a", gap_s=0.0)
-    assert output.is_playing
-    assert stream.active != is_hanging  # another one was opened in its place
-
-
 # The output on files, whose clock is set by hand.
 
 FILE_HZ = 8000
@@ -658,47 +533,6 @@ def test_a_playback_is_a_file_and_takes_its_time(tmp_path: Path) -> None:
     output.stop()
     played = output.collect()
     assert (played.completed, played.measured["file_number"]) == (True, 2)
-
-
-@pytest.mark.parametrize(("stop_s", "onset_s"), [(0.4, 10.1), (0.0, None)])
-def test_a_stop_ends_a_file_within_a_block(
-    tmp_path: Path, stop_s: float, onset_s: float | None
-) -> None:
-    clock = Clock(10.0)
-    output = make_output(tmp_path, clock)
-    output.start("s", gap_s=0.1)
-    clock.wait(stop_s)
-    assert output.is_playing
-    output.stop()
-    clock.wait(512 / FILE_HZ)
-    assert not output.is_playing
-    played = output.collect()
-    assert (played.completed, played.onset_s) == (False, onset_s)
-    samples, _ = read_wav(tmp_path / "delivered" / "0001.wav")
-    n = int(played.measured["n_samples"])
-    assert n == 0 if onset_s is None else abs(800 + n - 0.4 * FILE_HZ) <= 512
-    assert_array_equal(samples[:, 800 : 800 + max(n - 40, 0)], NOISE[: max(n - 40, 0)].T)
-    assert not samples[:, 800 + n :].any()
-
-
-def test_masking_moves_the_onset_and_what_is_limited_is_counted(tmp_path: Path) -> None:
-    clock = Clock(10.0)
-    low = LIMITS.model_copy(update={"peak_m_s2": 25.0})
-    output = make_output(tmp_path, clock, masking=MaskingTable(channels=(3,), rms=0.1), limits=low)
-    play(output, clock)
-    played = output.collect()
-    assert (played.requested_s, played.onset_s) == (10.1, 10.5)
-    assert played.clipped == np.count_nonzero(np.abs(NOISE) > 0.25)
-
-
-def test_a_folder_that_cannot_be_written_is_an_error_of_the_device(tmp_path: Path) -> None:
-    (tmp_path / "delivered").write_text("in the way", encoding="utf-8")
-    clock = Clock()
-    output = make_output(tmp_path, clock)
-    play(output, clock)
-    played = output.collect()
-    assert "delivered" in played.error
-    assert played.measured == {"n_samples": 4000.0}
 
 
 @pytest.mark.parametrize(("gap_s", "onset_s"), [(0.3, 10.3), (0.05, 10.25)])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from feel321.stimuli.sets.manifest import Stimulus
-from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.wav import write_wav
 from feel321.study.actuator.render import (
     find_directions,
@@ -18,20 +17,10 @@ from feel321.study.actuator.render import (
     reduced_energy,
     render_stimulus,
 )
-from feel321.study.actuator.rig import AXES, ActuatorTable, LimitsTable, Rig, identify, read_rig
-from feel321.study.strength import find_reach
-
-if TYPE_CHECKING:
-    from feel321.study.findings import Problems
+from feel321.study.actuator.rig import AXES, ActuatorTable, LimitsTable, Rig
 
 RATE = 2000
 LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)
-TEMPLATE = (Path(__file__).parents[1] / "settings" / "all_rig_settings.toml").read_text(
-    encoding="utf-8"
-)
-OLD = "".join(
-    line for line in TEMPLATE.splitlines(keepends=True) if not line.startswith("direction")
-)
 
 
 def coil(name: str, channel: int, *plays: str, **more: Any) -> ActuatorTable:
@@ -107,74 +96,6 @@ def test_energies_are_those_at_the_hand(seed: int, tmp_path: Path) -> None:
     default = find_mix(drawn)
     assert reduced_energy(default, directions) == pytest.approx(1.0)
     assert original_energy(default, directions, np.eye(3)) == pytest.approx(1.0)
-
-
-def read(tmp_path: Path, text: str) -> Rig:
-    (tmp_path / "rig.toml").write_text(text, encoding="utf-8")
-    return read_rig(tmp_path / "rig.toml")
-
-
-def compare(rig: Rig, **changes: Any) -> Problems:
-    noise = np.random.default_rng(0).standard_normal((3, 4000))
-    return find_reach(rig, {"oak": np.cov(noise)}, Recipe(**changes))
-
-
-def test_the_template_reaches_the_hand_with_equal_energy(tmp_path: Path) -> None:
-    found = compare(read(tmp_path, TEMPLATE))
-    assert (found.problems, found.warnings) == ((), ())
-    assert list(found.notes) == [
-        "one-axis stimuli and the three-axis reference reach the hand with equal energy (difference 0.0 dB)"
-    ]
-    assert compare(read(tmp_path, TEMPLATE), reference="none").notes == ()
-
-
-def test_a_rig_without_directions_plays_as_it_is_and_is_warned_of(tmp_path: Path) -> None:
-    rig = read(tmp_path, OLD)
-    assert find_mix(rig) == {
-        "left coil": {"reduced": 1.0, "x": 1.0},
-        "right coil": {"reduced": 1.0, "y": 1.0},
-        "third coil": {"z": 1.0},
-    }
-    (warning,) = compare(rig).warnings
-    assert warning == (
-        "one-axis stimuli reach the hand 3.0 dB stronger than the three-axis reference, so they can be "
-        "distinguished by strength; set weight: 'left coil' 0.7071, 'right coil' 0.7071; or add direction = [x, y, z] "
-        "to every actuator, then these weights are the default"
-    )
-    mended = OLD.replace('"x"]', '"x"]\nweight = 0.7071').replace('"y"]', '"y"]\nweight = 0.7071')
-    assert compare(read(tmp_path, mended)).warnings == ()
-    assert identify(read(tmp_path, mended))["actuators"][0]["weight"] == 0.7071
-    assert identify(read(tmp_path, TEMPLATE))["actuators"][0]["direction"] == [1.0, 0.0, 0.0]
-
-
-def test_two_coils_in_one_direction_add_in_amplitude() -> None:
-    along = {"direction": (0.0, 0.0, 2.0)}
-    loud = Rig(
-        actuators=(coil("a", 1, weight=1.0, **along), coil("b", 2, weight=1.0, **along)),
-        limits=LIMITS,
-    )
-    assert reduced_energy(find_mix(loud), find_directions(loud)[0]) == pytest.approx(4.0)  # 6 dB
-    rig = Rig(actuators=(coil("a", 1, **along), coil("b", 2, **along)), limits=LIMITS)
-    assert find_mix(rig) == {"a": {"reduced": 0.5}, "b": {"reduced": 0.5}}
-
-
-def test_a_coil_of_unknown_direction_is_named() -> None:
-    axes = [coil(axis, place, axis) for place, axis in enumerate(AXES, start=1)]
-    (warning,) = compare(Rig(actuators=(*axes, coil("tip", 4)), limits=LIMITS)).warnings
-    assert warning.startswith("actuators 'tip': no direction is known, so it is unknown whether")
-
-
-def test_coils_for_axes_that_are_not_at_right_angles_are_warned_of_where_it_counts() -> None:
-    slanted = [
-        coil(axis, place, axis, direction=(1.0, 0.1 * place, 0.0))
-        for place, axis in enumerate(AXES, start=1)
-    ]
-    rig = Rig(actuators=(*slanted, coil("tip", 4, direction=(0.0, 0.0, 1.0))), limits=LIMITS)
-    wave = np.random.default_rng(0).standard_normal(4000)
-    together = np.cov(np.stack([wave, wave, wave]))
-    (warning,) = find_reach(rig, {"together": together}, Recipe()).warnings
-    assert "4.7 dB weaker than the three-axis reference" in warning
-    assert find_reach(rig, {"silence": np.zeros((3, 3))}, Recipe()).warnings == ()
 
 
 def test_coils_that_cancel_each_other_are_refused() -> None:

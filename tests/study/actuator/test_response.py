@@ -10,14 +10,7 @@ import numpy as np
 import pytest
 from scipy import signal, special
 
-from feel321.study.actuator.response import (
-    Response,
-    Sweep,
-    make_inverse,
-    make_sweep,
-    measure_response,
-    measure_sweep,
-)
+from feel321.study.actuator.response import Response, Sweep, make_inverse, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable
 from feel321.study.actuator.simulated import SimulatedCoil, discretise
 
@@ -57,18 +50,6 @@ def play_through(fir: Any, coil: CoilTable) -> Response:
     return measure_sweep(SWEEP, drive(coil, scale * filtered, seed=2), sent=scale * sweeps)
 
 
-def make_plain(coil: CoilTable, *, n_taps: int) -> tuple[Any, float]:
-    """The filter that a plain ratio of Welch spectra gives, from as many seconds of noise, and its target."""
-    noise = 0.2 * np.random.default_rng(3).standard_normal(len(make_sweep(SWEEP)))
-    recorded = np.array(coil.direction) / 3 @ drive(coil, noise, seed=4)
-    frequency_hz, sent = signal.welch(noise, RATE_HZ, nperseg=1024)
-    gain = np.sqrt(signal.welch(recorded, RATE_HZ, nperseg=1024)[1] / sent)
-    inside = (frequency_hz >= 20) & (frequency_hz <= 1000)
-    target = float(np.median(gain[inside]))
-    wanted = np.where(inside, target / gain, 1.0)
-    return signal.firwin2(n_taps + 1, frequency_hz, wanted, fs=RATE_HZ), target
-
-
 @pytest.mark.parametrize(
     ("resonance_hz", "q"), [(80.0, 8.0), (80.0, 1.0), (160.0, 3.0), (250.0, 1.0), (250.0, 8.0)]
 )
@@ -76,29 +57,11 @@ def test_coils_are_equalised(resonance_hz: float, q: float) -> None:
     coil = alter(REAL, resonance_hz=resonance_hz, q=q)
     response = measure(coil)
     inverse = make_inverse(response, max_gain_db=50, n_taps=8000)
-    plain, plain_target = make_plain(coil, n_taps=8000)
     after = play_through(inverse.fir, coil)
     inside = (after.frequency_hz >= EVIDENCE_HZ[0]) & (after.frequency_hz <= EVIDENCE_HZ[1])
     assert find_largest(after, inverse.target) < 1
     assert after.coherence[inside].min() > 0.95
     assert find_largest(response, inverse.target) > 20
-    assert find_largest(play_through(plain, coil), plain_target) > 1
-
-
-def test_linear_phase_equalises_as_well() -> None:
-    inverse = make_inverse(measure(REAL), max_gain_db=50, n_taps=8001, phase="linear")
-    assert np.allclose(inverse.fir, inverse.fir[::-1], atol=1e-12)
-    assert inverse.delay == 4000
-    assert find_largest(play_through(inverse.fir, REAL), inverse.target) < 1
-
-
-def test_minimum_phase_undoes_the_phase_too() -> None:
-    found = play_through(make_inverse(measure(QUIET), max_gain_db=50, n_taps=8000).fir, QUIET)
-    # Nearer to its lower edge, the step from the full correction to none turns the phase itself.
-    inside = (found.frequency_hz > 100) & (found.frequency_hz < 800)
-    uncorrected = measure(QUIET)
-    turned = [np.abs(np.angle(one.response[inside])).max() for one in (found, uncorrected)]
-    assert turned[0] < turned[1] / 3, turned
 
 
 def test_corrected_phase_gives_the_shape_that_was_asked_for_only_later() -> None:
@@ -131,18 +94,6 @@ def test_latency_is_found_to_the_sample(
     assert measure(coil, sweep).latency == latency
 
 
-def test_noise_gives_the_same_response_and_latency() -> None:
-    noise = 0.2 * np.random.default_rng(5).standard_normal(16 * 8000)
-    coil = alter(REAL, latency=700, saturation=None)
-    found = measure_response(noise, drive(coil, noise), rate_hz=RATE_HZ, segment=4096)
-    swept = measure(coil)
-    inside = (found.frequency_hz >= 50) & (found.frequency_hz <= 1000)
-    size = np.interp(found.frequency_hz, swept.frequency_hz, np.abs(swept.response))
-    assert found.latency == 700
-    assert np.abs(20 * np.log10(np.abs(found.response) / size)[inside]).max() < 0.5
-    assert found.coherence[inside].min() > 0.95
-
-
 @pytest.mark.parametrize("saturation", [0.2, 0.5, 1.0])
 def test_planted_distortion_is_found_within_a_tenth(saturation: float) -> None:
     coil = alter(REAL, saturation=saturation)
@@ -160,12 +111,6 @@ def test_planted_distortion_is_found_within_a_tenth(saturation: float) -> None:
         assert at == pytest.approx(expected, rel=0.1), f
 
 
-def test_a_linear_coil_has_no_distortion() -> None:
-    found = measure(alter(QUIET, resonance_hz=80, q=1))
-    inside = (found.frequency_hz > 25) & (found.frequency_hz < 900)
-    assert found.distortion[inside].max() < 0.003
-
-
 @pytest.mark.parametrize("direction", [(0, 0, 1), (1, -2, 2), (-1, 0.1, 0), (1, 1, 1)])
 def test_planted_direction_is_found_with_its_sign(direction: Any) -> None:
     found = measure(alter(REAL, direction=direction, noise_m_s2=0.05))
@@ -173,30 +118,8 @@ def test_planted_direction_is_found_with_its_sign(direction: Any) -> None:
     assert math.degrees(math.acos(min(cosine, 1))) < 3
 
 
-def test_planted_cross_talk_is_found() -> None:
-    sweeps = make_sweep(SWEEP)
-    across = alter(QUIET, direction=(2, 1, 0), full_scale_m_s2=10 * 10 ** (-30 / 20), latency=45)
-    recorded = drive(QUIET, sweeps) + drive(across, sweeps)
-    assert measure_sweep(SWEEP, recorded).cross_talk_db == pytest.approx(-30, abs=1)
-
-
-def test_gain_and_latency_change_nothing_else() -> None:
-    base, loud, late = (
-        measure(coil)
-        for coil in (QUIET, alter(QUIET, full_scale_m_s2=40), alter(QUIET, latency=800))
-    )
-    first, second, third = (make_inverse(one, n_taps=4000) for one in (base, loud, late))
-    inside = (base.frequency_hz >= 20) & (base.frequency_hz <= 1000)
-    assert np.allclose(loud.response[inside], 4 * base.response[inside], rtol=1e-9)
-    assert np.allclose(late.response[inside], base.response[inside], rtol=1e-6)
-    assert late.latency - base.latency == 763
-    assert second.target == pytest.approx(4 * first.target)
-    assert np.allclose(second.fir, first.fir, atol=1e-9)
-    assert np.allclose(third.fir, first.fir, atol=1e-6)
-
-
 @pytest.mark.parametrize("max_gain_db", [0.0, 12.0, 30.0])
-@pytest.mark.parametrize("phase", ["minimum", "linear"])
+@pytest.mark.parametrize("phase", ["minimum", "corrected"])
 def test_gain_is_bounded(max_gain_db: float, phase: Any) -> None:
     response = measure(REAL)
     inverse = make_inverse(response, max_gain_db=max_gain_db, n_taps=4000, phase=phase)
@@ -233,25 +156,6 @@ def test_sweeps_keep_their_limit_and_rise_from_silence(peak: float) -> None:
     assert envelope[begin + 400 : end - 40] == pytest.approx(peak, rel=0.02)
     assert np.abs(first[:80]).max() < 0.01 * peak
     assert np.abs(first[end + 2000 :]).max() == pytest.approx(0, abs=1e-12)
-
-
-@pytest.mark.parametrize("block", [1, 1000])
-def test_blocks_do_not_matter_to_the_coil(block: int) -> None:
-    coil = alter(REAL, drift_db_per_min=-3.0)
-    samples = np.random.default_rng(6).standard_normal(2000)
-    whole = drive(coil, samples)
-    parts = SimulatedCoil(coil, rate_hz=RATE_HZ, rng=np.random.default_rng(1))
-    pieces = [parts.process(samples[a : a + block]) for a in range(0, 2000, block)]
-    assert np.allclose(np.concatenate(pieces, axis=1), whole, rtol=1e-9, atol=1e-12)
-
-
-def test_a_coil_drifts_as_planted_and_never_answers_early() -> None:
-    tone = np.sin(2 * np.pi * 160 * np.arange(8000 * 30) / RATE_HZ)
-    moved = drive(alter(QUIET, drift_db_per_min=-4.0), tone)[2]
-    assert not moved[:37].any()
-    assert moved[38] != 0
-    levels = [np.abs(moved[k : k + 800]).max() for k in (4000, 4000 + 8000 * 15)]
-    assert 20 * math.log10(levels[1] / levels[0]) == pytest.approx(-1, abs=0.01)
 
 
 @pytest.mark.parametrize(

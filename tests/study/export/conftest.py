@@ -49,9 +49,7 @@ use = "demographics"
 name = "tired"
 kind = "likert"
 question = "How tired is your hand?"
-points = 3
-low = "not at all"
-high = "very tired"
+options = ["not at all", "", "very tired"]
 when = "after"
 [[session.questions]]
 name = "remarks"

@@ -140,9 +140,7 @@ options = ["right", "left", "either"]
 name = "tired"
 kind = "likert"
 question = "How tired is your hand?"
-points = 7
-low = "not at all"
-high = "very tired"
+options = ["not at all", "", "", "", "", "", "very tired"]
 when = "between"
 [[session.questions]]
 name = "words"

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.texts import Question, label_points, read_ready, read_texts
+from feel321.protocols.texts import Question, read_ready, read_texts
 from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import (
     MATCHING,
@@ -91,9 +91,7 @@ def make_questions(texts: dict) -> list[Question]:
         *read_ready("demographics", texts),
         Question("many", "choice", long, tuple(f"The answer number {n}" for n in range(1, 10))),
         Question("agree", "likert", "It felt as if I touched the board.", tuple(agree)),
-        Question(
-            "ends", "likert", "How tired is your hand?", label_points(9, "Not at all", "Very")
-        ),
+        Question("ends", "likert", "How tired is your hand?", ("Not at all", *[""] * 7, "Very")),
         Question("words", "text", long, required=False),
         Question("least", "number", "How many hours did you sleep?", low=0.5),
     ]

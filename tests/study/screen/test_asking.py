@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from feel321.protocols.texts import MOST_LETTERS, Question, label_points
+from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.study.keys import USUAL, KeysTable
 from feel321.study.screen.input import Form, InputEvent
 from feel321.study.screen.sheet import Box, Target
 
 HAND = Question("hand", "choice", "Which?", ("left", "right", "both"))
-TIRED = Question("tired", "likert", "How tired?", label_points(7, "not", "very"))
+TIRED = Question("tired", "likert", "How tired?", ("not", *[""] * 5, "very"))
 AGE = Question("age", "number", "How old?", low=18, high=99)
 LAST = Question("last", "text", "Anything?", required=False)
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.texts import Question, label_points
+from feel321.protocols.texts import Question
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.persons import answers
 from feel321.study.session.plan import make_plan, read_dossier
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 QUESTIONS = (
     Question("age", "number", "How old are you?", low=18, high=99, personal=True, required=False),
     Question("hand", "choice", "Which hand?", ("left", "right")),
-    Question("tired", "likert", "How tired?", label_points(7, "not", "very"), when="between"),
+    Question("tired", "likert", "How tired?", ("not", *[""] * 5, "very"), when="between"),
     Question("last", "text", "Anything else?", when="after"),
 )
 

@@ -40,9 +40,9 @@ WHOLE = (
 ADDED = (
     ("[stimli]", "stimli: unknown setting; did you mean stimuli?"),
     ("[rig]; zzz = 1", "rig.zzz: unknown setting; known: rate_hz, full_scale_m_s2, headroom"),
-    ("unit = 'g'", "recordings[1].unit: unknown setting; known: name, sample,"),
+    ("unit = 'g'", "recordings[1]: unit does not go with scene; leave it out"),
     ("[[recordings]]; file = 'a'; unti = 'g'", "recordings[2].unti: unknown setting; did you mean"),
-    ("[[recordings]]; name = 'a'", "recordings[2].file: missing; add it"),
+    ("[[recordings]]; name = 'a'", "recordings[2] must have one of scene, file, files, got none"),
     ("name = 'a/b'", "recordings: a recording's name must be up to 100 letters"),
     ("[stimuli]; reducers = ['dft3211']", "stimuli.reducers[1] must be one of sax321, say321"),
     ("[session]; protocols = ['realism', 'realism']", "more than once: realism"),

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from feel321.protocols.tasks import make_task, refine_task
-from feel321.protocols.texts import Question, label_points, read_scales
+from feel321.protocols.texts import Question, read_scales
 from feel321.protocols.threshold import USUAL, MatchingBlock, ThresholdBlock
 from feel321.protocols.trial import Flow, Scale
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
@@ -78,7 +78,7 @@ SCALES = read_scales("en") | {"roughness": Scale("roughness", "How rough?", "Smo
 QUESTIONS = (
     Question("age", "number", "How old?", low=18, high=99, personal=True),
     Question("hand", "choice", "Which hand?", ("left", "right")),
-    Question("tired", "likert", "How tired?", label_points(7, "not", "very"), when="between"),
+    Question("tired", "likert", "How tired?", ("not", *[""] * 5, "very"), when="between"),
     Question("last", "text", "Anything?", when="after", required=False),
 )
 

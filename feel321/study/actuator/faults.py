@@ -1,0 +1,535 @@
+"""What is wrong with a rig, by coil, from what was sent and what a three-axis sensor measured of it.
+
+The certificate says how each coil responds and in which direction it moves, so its motion can be separated from that of
+the others and compared with what was sent to it. A cause is named only where it explains what was measured; what
+nothing explains is "unknown", with the figures. Coils in one direction cannot be separated, and are judged together.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from scipy import fft, optimize
+
+from feel321.study.actuator.certificate import Certificate, CoilCertificate
+from feel321.study.actuator.mixer import Frames
+from feel321.study.actuator.response import Spectrum, find_inside
+from feel321.study.actuator.rig import Rig, require_sensor
+from feel321.types import Samples
+
+MAINS_HZ = (50.0, 60.0)
+RATES = (44100 / 48000, 48000 / 44100, 0.5, 2.0)  # of the converter over that of the samples
+CLIPPED = 0.999  # of the sensor's full scale
+FLAT = 6  # equal samples at a sensor's largest value are no chance
+CLEAR = 5.0  # least ratio of the motion asked of a coil to the noise, for it to be judged
+PARALLEL = 0.9  # cosine between coils that a sensor cannot separate
+FOLLOWS = 0.5  # share of a coil's motion that must follow what was sent to it
+DEAD_DB = -20.0
+MOVED, DAMPED = 0.03, 0.3  # changes of a resonance and of its damping that count
+BETTER = (
+    0.5  # a cause explains a motion better if it leaves less than this share of what another leaves
+)
+LEAST_SWAPPED = 0.05  # of two coils' motion that does not follow what is sent to them
+LEAST_LEFT = 2e-4  # of a motion's energy: less is no reason to look for a cause
+DISTORTS = 0.02  # of the motion, beyond twice what the certificate knows
+LATE_S = 0.004  # change of a delay that counts
+BLOCKS = 4  # of which the latency of a stream consists, at most
+FARTHEST_S = 0.06  # of a coil's own delay from the common one
+LEAST_STEPS = 1000  # different values of a signal that is not flat for want of resolution
+N_HUMS = 2
+HUM_SHARE, HUM_LINE = 0.01, 4.0  # a hum's RMS over that of the motion, and over its surroundings
+SURE = 3.0  # standard errors
+MIN_QUIET_S = 0.02  # of silence in which noise can be measured
+COARSE_HZ = 8000.0  # rate at which lags are found
+RINGING_S = 0.2  # after the samples
+KNOTS = 6  # per octave, of the smooth response that is no distortion
+TINY = 1e-30
+DB = 20 / math.log(10)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fit:
+    """How a coil answered: gain, sign, resonance and damping (as factors) against its certificate.
+
+    lag: samples since the onset was sent, the coil's own apart; left: share of the motion's energy that is not
+    explained; error_db: standard error of gain_db.
+    """
+
+    gain_db: float
+    sign: int
+    lag: float
+    left: float
+    error_db: float
+    resonance: float = 1.0
+    damping: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What one coil, or several in one direction, did in a playback, and how that fits what was sent to it.
+
+    noise: over what was asked of it; distortion: what no linear response explains, over the motion.
+    """
+
+    name: str
+    fit: Fit
+    noise: float
+    distortion: float
+    is_asked: bool
+    is_moving: bool
+
+    def describe(self) -> str:
+        """Say its figures in one line."""
+        fit = self.fit
+        return (
+            f"{self.name} gain {fit.gain_db:+.1f} dB, resonance x {fit.resonance:.2f}, damping x {fit.damping:.2f}, "
+            f"distortion {self.distortion:.0%}, {fit.left:.0%} of the motion unexplained"
+        )
+
+
+def energy(spectrum: Spectrum) -> float:
+    """Sum the squares of a spectrum."""
+    return float(np.sum(np.abs(spectrum) ** 2))
+
+
+def group_coils(certificate: Certificate) -> dict[str, list[CoilCertificate]]:
+    """Group the coils that move in about one direction, by their joined names."""
+    groups: list[list[CoilCertificate]] = []
+    for coil in certificate.coils.values():
+        near = (g for g in groups if abs(g[0].direction @ coil.direction) > PARALLEL)
+        if group := next(near, None):
+            group.append(coil)
+        else:
+            groups.append([coil])
+    return {" and ".join(coil.name for coil in group): group for group in groups}
+
+
+def find_resonance(coil: CoilCertificate) -> tuple[float, float]:
+    """Find resonance in Hz and Q of the second-order coil that comes nearest to a response."""
+    inside = (coil.frequency_hz > 0) & (np.abs(coil.response) > 0)
+    at_hz, size = coil.frequency_hz[inside], np.log(np.abs(coil.response[inside]))
+
+    def miss(x: Samples) -> Samples:
+        level = 2 * np.log(at_hz) - np.log(np.abs(_swing(at_hz, *np.exp(x[:2]))))
+        return np.asarray((size - x[2] - level) / np.sqrt(at_hz))
+
+    starts = (float(at_hz[int(np.argmax(size))]), 80.0, 160.0)
+    found = [
+        optimize.least_squares(
+            miss, [math.log(start_hz), 0.5, float(np.median(size))], loss="soft_l1", f_scale=0.02
+        )
+        for start_hz in starts
+    ]
+    resonance_hz, q = np.exp(min(found, key=lambda one: float(one.cost)).x[:2])
+    return float(resonance_hz), float(q)
+
+
+def _swing(at_hz: Samples, resonance_hz: float, q: float) -> Spectrum:
+    return np.asarray(resonance_hz**2 - at_hz**2 + 1j * at_hz * resonance_hz / q)
+
+
+class Scene:
+    """One playback, taken apart by coil; all spectra are those of the band, shape (k,).
+
+    lag: common to all coils, in samples; follows: share of all motion that follows any coil's samples there.
+    """
+
+    def __init__(
+        self, certificate: Certificate, sent: Frames, measured: Samples, *, rate: float = 1.0
+    ) -> None:
+        self.certificate, self.rate_hz = certificate, certificate.rate_hz
+        self._coarse = max(int(self.rate_hz / COARSE_HZ), 1)
+        self.n = max(len(sent), measured.shape[1])
+        n_coarse = fft.next_fast_len(
+            round(self.n / self._coarse + RINGING_S * COARSE_HZ), real=True
+        )
+        self.n_grid = self._coarse * n_coarse
+        grid_hz = fft.rfftfreq(self.n_grid, 1 / self.rate_hz)
+        band_hz = (max(20.0, certificate.band_hz[0]), min(1000.0, certificate.band_hz[1]))
+        self._inside = np.flatnonzero(find_inside(grid_hz, band_hz=band_hz))
+        self.at_hz = grid_hz[self._inside]
+        self.groups = group_coils(certificate)
+        self._directions: Samples = np.stack([own[0].direction for own in self.groups.values()], 1)
+        self.moved = np.linalg.pinv(self._directions) @ measured
+        self.actual = dict(zip(self.groups, self.transform(self.moved), strict=True))
+        frames = np.asarray(sent, dtype=np.float64)
+        if rate != 1:
+            place = np.arange(self.n) * rate
+            frames = np.stack(
+                [np.interp(place, np.arange(len(sent)), one, right=0.0) for one in frames.T], axis=1
+            )
+        self.sent = {one.name: frames[:, one.channel - 1] for one in certificate.coils.values()}
+        self._first = min(one.latency for one in certificate.coils.values())
+        self.asked = {
+            (own, other): self.expect(
+                own, {one.name: self.sent[one.name] for one in self.groups[other]}
+            )
+            for own in self.groups
+            for other in self.groups
+        }
+        self.lag, self.follows = self._find_lag()
+        self.asked = {pair: self.shift(one, self.lag) for pair, one in self.asked.items()}
+
+    def transform(self, samples: Samples) -> Spectrum:
+        """Transform samples to the spectrum in the band, shape (..., k)."""
+        spectrum: Spectrum = fft.rfft(samples, self.n_grid)[..., self._inside]
+        return spectrum
+
+    def shift(self, asked: Spectrum, n_samples: float) -> Spectrum:
+        """Delay what is asked of a coil."""
+        return np.asarray(asked * np.exp(-2j * np.pi * self.at_hz * n_samples / self.rate_hz))
+
+    def expect(self, group: str, sent: Mapping[str, Samples]) -> Spectrum:
+        """Expect the motion of a group along its direction; samples of another coil are taken as its own."""
+        own, moved = self.groups[group], np.zeros(len(self.at_hz), dtype=np.complex128)
+        for name, samples in sent.items():
+            if samples.any():
+                coil = next((one for one in own if one.name == name), own[0])
+                response = np.interp(self.at_hz, coil.frequency_hz, coil.response)
+                response *= float(coil.direction @ own[0].direction)
+                moved += self.shift(response * self.transform(samples), coil.latency - self._first)
+        return moved
+
+    def _find_lag(self) -> tuple[int, float]:
+        explained = np.zeros((len(self.groups), self.n_grid // self._coarse))
+        for row, own in enumerate(self.groups):
+            for other in self.groups:
+                if (size := energy(self.asked[own, other])) > TINY:
+                    found = self._correlate(self.actual[own] * self.asked[own, other].conj())
+                    explained[row] = np.maximum(explained[row], found**2 / size)
+        total = explained.sum(axis=0)
+        place = int(np.argmax(total))
+        whole = sum(map(energy, self.actual.values()))
+        return place * self._coarse, float(total[place] / max(whole, TINY))
+
+    def _correlate(self, cross: Spectrum) -> Samples:
+        """Make a correlation over coarse lags of a cross-spectrum: at 0 its sum."""
+        n = self.n_grid // self._coarse
+        spectrum = np.zeros(n // 2 + 1, dtype=np.complex128)
+        spectrum[self._inside] = cross
+        found: Samples = fft.irfft(spectrum, n) * n / 2
+        return found
+
+    def find_own_delay(self, group: str) -> int:
+        """Find by how many samples a coil is later than the common lag."""
+        most = round(FARTHEST_S * self.rate_hz / self._coarse)
+        found = self._correlate(self.actual[group] * self.asked[group, group].conj())
+        return (int(np.argmax(np.abs(np.roll(found, most)[: 2 * most + 1]))) - most) * self._coarse
+
+    def find_noise(self, group: str) -> float:
+        """Find the energy of a coil's noise in the band: that before the onset, or the certificate's."""
+        n_quiet = max(min(self.lag, self._first) - round(0.005 * self.rate_hz), 0)
+        quiet = self.moved[list(self.groups).index(group), :n_quiet]
+        power = float(self.groups[group][0].noise_m_s2) ** 2 / 3 * 2 * len(self.at_hz) / self.n_grid
+        if n_quiet > MIN_QUIET_S * self.rate_hz:
+            power = max(power, 2 * energy(self.transform(quiet)) / self.n_grid / n_quiet)
+        return float(np.nan_to_num(power) * self.n * self.n_grid / 2)
+
+    def find_left(
+        self, measured: Samples, lines_hz: Sequence[float] = ()
+    ) -> tuple[Samples, Samples]:
+        """Find what of the measured axes, (3, n), no linear response explains, and the lines beside it."""
+        n = measured.shape[1]
+        turns = 2 * np.pi * np.outer(lines_hz, np.arange(n) / self.rate_hz)
+        columns = self.transform(np.cos(turns).reshape(-1, n))
+        follow = np.zeros((len(self.groups), self.n_grid // 2 + 1), dtype=np.complex128)
+        lines = np.zeros((len(self.groups), n))
+        for row, name in enumerate(self.groups):
+            hats = self._make_hats(self.asked[name, name])
+            both = np.concatenate([hats, columns.T], axis=1)
+            weights = np.linalg.lstsq(both, self.actual[name], rcond=1e-6)[0]
+            follow[row, self._inside] = hats @ weights[: hats.shape[1]]
+            size = weights[hats.shape[1] :]
+            lines[row] = size.real @ np.cos(turns) - size.imag @ np.sin(turns)
+        moved = self._directions @ fft.irfft(follow, self.n_grid)[:, :n]
+        return measured - moved, self._directions @ lines
+
+    def _make_hats(self, asked: Spectrum) -> Spectrum:
+        octaves = np.log2(self.at_hz)
+        knots = np.linspace(octaves[0], octaves[-1], round(KNOTS * (octaves[-1] - octaves[0])) + 2)
+        hats = np.maximum(1 - np.abs(octaves[:, None] - knots) / (knots[1] - knots[0]), 0)
+        return np.asarray(hats * asked[:, None])
+
+    def smooth(self, group: str, asked: Spectrum) -> Spectrum:
+        """Return what is left of a motion after a response that is smooth over frequency."""
+        hats = self._make_hats(asked)
+        weights = np.linalg.lstsq(hats, self.actual[group], rcond=1e-6)[0]
+        return np.asarray(self.actual[group] - hats @ weights)
+
+    def reshape(self, asked: Spectrum, swings: tuple[float, float], fit: Fit) -> Spectrum:
+        """Change what is asked of a coil as its resonance and damping changed."""
+        own = _swing(self.at_hz, swings[0] * fit.resonance, swings[1] / fit.damping)
+        return np.asarray(asked * _swing(self.at_hz, *swings) / own)
+
+    def fit(self, group: str, asked: Spectrum, *, swings: tuple[float, float] | None = None) -> Fit:
+        """Fit gain, sign and lag of a coil to its motion; with its resonance and Q, changes of these too."""
+        actual, size = self.actual[group], math.sqrt(max(energy(self.actual[group]), TINY))
+        start = complex(np.vdot(asked, actual)) / max(energy(asked), TINY)
+        sign = -1 if start.real < 0 else 1
+        before = None if swings is None else _swing(self.at_hz, *swings)
+
+        def model(x: Samples) -> Spectrum:
+            turned = sign * np.exp(x[0] - 2j * np.pi * self.at_hz * x[1] / 1e3)
+            if before is None or swings is None:
+                return np.asarray(turned * asked)
+            own = _swing(self.at_hz, swings[0] * math.exp(x[2]), swings[1] * math.exp(-x[3]))
+            return np.asarray(turned * asked * before / own)
+
+        def miss(x: Samples) -> Samples:
+            return np.asarray((actual - model(x)) / size).view(np.float64)
+
+        n_free = 2 if swings is None else 4
+        low, high = [-12.0, -2.0, -1.0, -2.0], [5.0, 2.0, 1.0, 2.0]
+        first = [min(max(math.log(max(abs(start), TINY)), -11.9), 4.9), 0.0, 0.0, 0.0]
+        found = optimize.least_squares(
+            miss,
+            first[:n_free],
+            bounds=(low[:n_free], high[:n_free]),
+            x_scale=[0.1, 0.1, 0.05, 0.2][:n_free],
+        )
+        spread = (
+            np.linalg.pinv(np.asarray(found.jac).T @ np.asarray(found.jac))
+            * 2
+            * found.cost
+            / len(self.at_hz)
+        )
+        x = [*found.x, 0.0, 0.0]
+        return Fit(
+            gain_db=DB * float(x[0]),
+            sign=sign,
+            lag=self.lag + float(x[1]) * self.rate_hz / 1e3,
+            left=float(2 * found.cost),
+            error_db=DB * math.sqrt(max(float(spread[0, 0]), 0.0)),
+            resonance=math.exp(x[2]),
+            damping=math.exp(x[3]),
+        )
+
+
+class Diagnosis:
+    """Judges the playbacks of a rig with a measured certificate and a three-axis sensor.
+
+    lag: of the last playback, in samples; None where it is not known, as after a device ran
+    dry. motions: of the last playback that was judged, by coil.
+    """
+
+    def __init__(self, certificate: Certificate, rig: Rig) -> None:
+        self.certificate = certificate
+        self._full_scale = require_sensor(rig).full_scale_m_s2
+        self._limit_db = rig.calibration.max_drift_db
+        groups = group_coils(certificate)
+        self._resonances = {name: find_resonance(group[0]) for name, group in groups.items()}
+        self._distorts = {
+            name: DISTORTS + 2 * max(float(np.nan_to_num(one.total_distortion)) for one in group)
+            for name, group in groups.items()
+        }
+        self.lag: float | None = float(min(one.latency for one in certificate.coils.values()))
+        # A sound server that opens a stream may hold more or less of it than at the calibration, in whole blocks.
+        self._most_s = rig.device.latency_s / BLOCKS
+        self.motions: dict[str, Motion] = {}
+
+    def judge(self, sent: Frames, measured: Samples) -> str:
+        """Name what is wrong by frames sent, (n, channels), and what was measured since, (3, m) in m/s²; or nothing."""
+        self.motions = {}
+        if fault := find_sensor_fault(measured, full_scale_m_s2=self._full_scale):
+            return fault
+        measured = measured - measured.mean(axis=1, keepdims=True)
+        scene = Scene(self.certificate, sent, measured)
+        left, hum = scene.find_left(measured)
+        hum_hz = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured))
+        for _ in range(N_HUMS if hum_hz else 0):  # a strong one hides what it is to be told from
+            more = scene.find_left(measured, [k * hum_hz for k in range(1, 6)])[1]
+            measured, hum = measured - more, hum + more
+            scene = Scene(self.certificate, sent, measured)
+        self.motions = {name: self._find_motion(scene, name) for name in scene.groups}
+        found = list(self._find_causes(scene, sent, measured))
+        if hum_hz and scene.follows > FOLLOWS and not any("swapped" in one for one in found):
+            found.append(
+                f"hum of {hum_hz:.0f} Hz, {_rms(hum):.2g} m/s²: a ground loop, or cables beside the mains"
+            )
+        return "; ".join(found)
+
+    def _find_motion(self, scene: Scene, name: str) -> Motion:
+        asked, noise, moved = (
+            scene.asked[name, name],
+            scene.find_noise(name),
+            energy(scene.actual[name]),
+        )
+        is_asked = energy(asked) > CLEAR**2 * noise
+        fit = scene.fit(name, asked)
+        if is_asked and fit.left > FOLLOWS:
+            late = scene.find_own_delay(name)
+            asked = scene.shift(asked, late)
+            fit = scene.fit(name, asked)
+            fit = replace(fit, lag=fit.lag + late)
+        if max(LEAST_LEFT, 2 * noise / max(moved, TINY)) < fit.left < FOLLOWS:
+            full = scene.fit(name, asked, swings=self._resonances[name])
+            if full.left < BETTER * fit.left:
+                fit = replace(full, lag=full.lag + fit.lag - scene.lag)
+                asked = scene.reshape(asked, self._resonances[name], fit)
+        rest = max(energy(scene.smooth(name, asked)) - noise, 0.0)
+        distortion = math.sqrt(rest / max(moved, TINY))
+        return Motion(name, fit, noise, distortion, is_asked, moved > CLEAR**2 * noise)
+
+    def _find_causes(self, scene: Scene, sent: Frames, measured: Samples) -> Iterator[str]:
+        asked = [one for one in self.motions.values() if one.is_asked]
+        if not asked:
+            return
+        if not any(one.is_moving for one in self.motions.values()):
+            names = " and ".join(one.name for one in asked)
+            yield f"{names}: dead: the sensor shows noise only; check amplifier, coils, and how the sensor is held"
+            return
+        if scene.follows < FOLLOWS:
+            yield self._find_rate(scene, sent, measured)
+            return
+        if swapped := self._find_swap(scene):
+            yield swapped
+            return
+        causes = {one.name: self._find_cause(scene, one) for one in self.motions.values()}
+        told = {name: cause for name, cause in causes.items() if cause}
+        gains = [one.fit.gain_db for one in asked]
+        is_common = len(told) == len(asked) > 1 and max(gains) - min(gains) < self._limit_db
+        if is_common and all(one.startswith("gain") for one in told.values()):
+            told = {"all coils": f"gain {np.mean(gains):+.1f} dB: the amplifier's or the sensor's"}
+        yield from (f"{name}: {cause}" for name, cause in told.items())
+        if not told:
+            yield from self._find_delay([one.fit.lag for one in asked], scene.rate_hz)
+
+    def _find_rate(self, scene: Scene, sent: Frames, measured: Samples) -> str:
+        """Name a converter that runs at another rate; else what is known."""
+        others = {
+            rate: Scene(self.certificate, sent, measured, rate=rate).follows for rate in RATES
+        }
+        rate = max(others, key=others.__getitem__)
+        if others[rate] > max(scene.follows / BETTER, FOLLOWS):
+            played_hz = rate * scene.rate_hz
+            return f"wrong rate: played at {played_hz:.0f} Hz instead of {scene.rate_hz:.0f} Hz; set the device"
+        return self._say_unknown(self.motions.values())
+
+    def _find_swap(self, scene: Scene) -> str:
+        """Name the pair of coils that do what is sent to the other."""
+        moved = {name: energy(actual) for name, actual in scene.actual.items()}
+        straight = {name: self.motions[name].fit.left * size for name, size in moved.items()}
+
+        def leave(pair: tuple[str, str]) -> float:
+            """Add up what is left of all motion if two coils are exchanged."""
+            left = straight.copy()
+            for own, other in (pair, pair[::-1]):
+                asked = scene.asked[own, other]
+                is_asked = energy(asked) > TINY
+                left[own] = moved[own] * (scene.fit(own, asked).left if is_asked else 1.0)
+            return sum(left.values())
+
+        before = sum(straight.values())
+        pairs = list(combinations(scene.groups, 2))
+        if not pairs or before < LEAST_SWAPPED * sum(moved.values()):
+            return ""
+        best = min(pairs, key=leave)
+        if leave(best) > BETTER * before:
+            return ""
+        return f"{' and '.join(best)} swapped: each moves by what is sent to the other; exchange their cables"
+
+    def _find_cause(self, scene: Scene, motion: Motion) -> str:
+        """Name what is wrong with one coil: the first of what there can be."""
+        return next(self._list_causes(scene, motion), "") if motion.is_asked else ""
+
+    def _list_causes(self, scene: Scene, motion: Motion) -> Iterator[str]:
+        fit, name = motion.fit, motion.name
+        if fit.gain_db < DEAD_DB or not motion.is_moving:
+            yield f"dead ({fit.gain_db:.0f} dB); check its cable, its amplifier and its channel"
+        if fit.sign < 0 and fit.left < FOLLOWS:
+            yield "inverted: its wires were exchanged since the calibration"
+        noise = math.sqrt(0.3 * motion.noise / max(energy(scene.actual[name]), TINY))
+        if motion.distortion > math.hypot(self._distorts[name], noise):
+            yield self._find_bend(scene, motion)
+        is_off = abs(fit.gain_db) > self._limit_db + SURE * fit.error_db
+        resonance_hz = self._resonances[name][0]
+        now = f"resonance {resonance_hz:.0f} -> {resonance_hz * fit.resonance:.0f} Hz, damping x {fit.damping:.2f}"
+        gain = f"gain {fit.gain_db:+.1f} dB"
+        if abs(fit.resonance - 1) > MOVED or abs(math.log(fit.damping)) > DAMPED:
+            yield (
+                f"loose mount: {now}, {gain}; fasten it, then calibrate again"
+                if is_off
+                else f"{now}, gain as it was: heat, or a suspension that wears; let it rest, or calibrate again"
+            )
+        if is_off:
+            yield f"{gain}: its amplifier's knob, or its mounting"
+
+    def _find_bend(self, scene: Scene, motion: Motion) -> str:
+        """Name what bends a motion: an amplifier that clips what is sent, or anything else that rattles."""
+        name, told = motion.name, f"distortion of {motion.distortion:.0%}"
+        samples = {one.name: scene.sent[one.name] for one in scene.groups[name]}
+        peak = max(float(np.abs(one).max()) for one in samples.values())
+
+        def leave(share: float) -> float:
+            cut = {k: np.clip(one, -share * peak, share * peak) for k, one in samples.items()}
+            asked = scene.shift(scene.expect(name, cut), motion.fit.lag)
+            along = abs(np.vdot(asked, scene.actual[name])) ** 2 / max(energy(asked), TINY)
+            return 1 - float(along) / max(energy(scene.actual[name]), TINY)
+
+        best = min(np.geomspace(0.05, 0.97, 40), key=leave)
+        if leave(best) < BETTER * motion.distortion**2:
+            return f"clipping at {best * peak:.0%} of full scale, {told}; lower the level, or turn the amplifier up"
+        if motion.fit.left > FOLLOWS:
+            return self._say_unknown([motion])
+        return f"rattle, {told}: something touches or is loose; fasten it"
+
+    def _find_delay(self, lags: Sequence[float], rate_hz: float) -> Iterator[str]:
+        """Name a delay that moved since the last playback."""
+        before, self.lag = self.lag, float(np.median(lags))
+        most_s, self._most_s = self._most_s, math.inf
+        if before is not None and LATE_S < abs(self.lag - before) / rate_hz < most_s:
+            yield (
+                f"delay moved by {1e3 * (self.lag - before) / rate_hz:+.1f} ms: something between output and coils "
+                "holds more than before"
+            )
+
+    @staticmethod
+    def _say_unknown(motions: Iterable[Motion]) -> str:
+        return f"unknown cause, and the figures are: {', '.join(one.describe() for one in motions)}"
+
+
+def _rms(motion: Samples) -> float:
+    return float(np.sqrt(np.mean(np.square(motion).sum(axis=0))))
+
+
+def find_sensor_fault(measured: Samples, *, full_scale_m_s2: float) -> str:
+    """Name a sensor that is silent, or that was driven beyond its range; shape (axes, n)."""
+    silent = [axis for axis, own in zip("xyz", measured, strict=False) if not np.ptp(own)]
+    if len(silent) == len(measured):
+        return "sensor dead: every sample is the same; check its cable, its supply and its channels"
+    if silent:
+        return f"sensor dead on {' and '.join(silent)}: every sample is the same; check its cable and channel"
+    for own in measured:
+        size = np.abs(own)
+        peak = float(size.max())
+        edges = np.flatnonzero(
+            np.diff(np.concatenate([[False], size >= peak * (1 - 1e-6), [False]]))
+        )
+        longest = int((edges[1::2] - edges[::2]).max())
+        # A quiet signal of few steps is flat by itself.
+        is_flat = longest >= FLAT and len(np.unique(size)) > LEAST_STEPS
+        if is_flat or peak >= CLIPPED * full_scale_m_s2:
+            return f"sensor saturated at {peak:.3g} m/s²: lower the gain of its input, and its full_scale_m_s2 with it"
+    return ""
+
+
+def find_hum(left: Samples, *, rate_hz: float, size: float) -> float:
+    """Find the mains in what no coil explains, (3, n): its frequency in Hz, near 50 or 60; 0 for none."""
+    n = left.shape[1]
+    time_s = np.arange(n) / rate_hz
+
+    def measure(at_hz: float) -> float:
+        wave = np.exp(-2j * np.pi * at_hz * time_s)
+        return float(math.sqrt(2) * np.linalg.norm(left @ wave) / n)
+
+    width_hz = max(3.0, 2 * rate_hz / n)
+    best_hz, best = 0.0, HUM_SHARE * size
+    for mains_hz in MAINS_HZ:
+        near = {hz: measure(hz) for hz in mains_hz + np.linspace(-0.3, 0.3, 7)}
+        at_hz = max(near, key=near.__getitem__)
+        around = np.median([measure(mains_hz + k * width_hz) for k in (-2, -1, 1, 2)])
+        if near[at_hz] > max(best, HUM_LINE * float(around)):
+            best_hz, best = at_hz, near[at_hz]
+    return float(best_hz)
