@@ -253,8 +253,8 @@ def test_what_is_frozen_is_shown(smallest: StudyFolder, capsys: pytest.CaptureFi
     assert main(["freeze", str(smallest.path), "--show"]) == 0
     text = capsys.readouterr().out
     for said in (
-        "Everybody prefers mag321.", "get higher realism ratings (level as is)", "(1 | participant:reducer)",
-        "session.quality.min_response_s = 0.2", "  analysis.margin: was not set, now 4.0",
+        "Everybody prefers mag321.", "metric temporal_match", "(1 | participant:reducer)",
+        "  analysis.margin: was not set, now 4.0",
     ):  # fmt: skip
         assert said in text
     assert main(["freeze", str(smallest.path), "--show", "--json"]) == 0

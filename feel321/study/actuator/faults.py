@@ -325,7 +325,7 @@ class Diagnosis:
             for name, group in groups.items()
         }
         self.lag: float | None = float(min(one.latency for one in certificate.coils.values()))
-        # A sound server that opens a stream may hold more or less of it than at the calibration, in whole blocks.
+        # A stream that was opened anew, or interrupted, holds more or less than before, in whole blocks.
         self._most_s = rig.device.latency_s / BLOCKS
         self.motions: dict[str, Motion] = {}
 
@@ -478,8 +478,7 @@ class Diagnosis:
     def _find_delay(self, lags: Sequence[float], rate_hz: float) -> Iterator[str]:
         """Name a delay that moved since the last playback."""
         before, self.lag = self.lag, float(np.median(lags))
-        most_s, self._most_s = self._most_s, math.inf
-        if before is not None and LATE_S < abs(self.lag - before) / rate_hz < most_s:
+        if before is not None and LATE_S < abs(self.lag - before) / rate_hz < self._most_s:
             yield (
                 f"delay moved by {1e3 * (self.lag - before) / rate_hz:+.1f} ms: something between output and coils "
                 "holds more than before"

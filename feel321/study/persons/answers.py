@@ -124,7 +124,7 @@ def _read_rows(folder: Path) -> list[Row]:
     try:
         rows = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
         is_ours = all({*row} == {*_PLACE, "value", "salt", "sha256"} for row in rows)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RecursionError):
         is_ours = False
     if not is_ours:
         raise ValueError(f"{path}: not as feel321 wrote it; restore it from a copy")

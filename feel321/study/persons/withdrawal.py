@@ -372,7 +372,7 @@ def _read_outputs(study: StudyFolder) -> list[WrittenOutput]:
         lines = path.read_text(encoding="utf-8").splitlines()
         found = [WrittenOutput(**json.loads(line)) for line in lines]
         _ = [datetime.fromisoformat(one.utc) for one in found]
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(
             f"{path}: not as feel321 wrote it ({error}); restore it from a copy"
         ) from None

@@ -232,11 +232,12 @@ class TonePresented(AttemptEvent, event="tone"):
 class Played:
     """How a part was felt: what the device reports, the engine passes on and the journal keeps.
 
-    onset_s: None where it never began. underruns, clipped: times that the device ran dry, samples that were limited.
-    completed: it was felt to its end. error: the device's message, empty if all went well. measured: by the device,
-    such as its own time of the onset. dac_source: `device` where that time is its own, `latency` where it is the time
-    of the request and the latency. delivered: what the hand got, compared with what was asked (`actuator.delivered`);
-    with `coherence` if a sensor measured it, without if a certificate predicts it.
+    onset_s: None where it never began. underruns, clipped: times that the device ran dry within the samples, samples
+    that were limited. completed: it was felt to its end. error: the device's message, empty if all went well. measured:
+    by the device, such as its own time of the onset. dac_source: `device` where that time is its own, `latency` where
+    it is the time of the request and the latency. delivered: what the hand got, compared with what was asked
+    (`actuator.delivered`); with `coherence` if a sensor measured it, without if a certificate predicts it. fault: what
+    is wrong with the rig by this playback, with the coil named (`actuator.faults`).
     """
 
     requested_s: float
@@ -414,7 +415,7 @@ def find_faults(played: Played, flow: Flow) -> dict[str, str]:
     """Find what the device did wrong in a playback: flag -> words for the experimenter."""
     faults = {
         "device_error": played.error,
-        "not_delivered": find_loss(played.delivered, flow),
+        "not_delivered": played.fault or find_loss(played.delivered, flow),
         "underrun": f"the device ran dry ({played.underruns} underruns): close other programs, switch off power "
         "saving, or raise latency_s in rig.toml"
         if played.underruns

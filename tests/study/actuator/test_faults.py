@@ -106,9 +106,9 @@ def test_a_delay_counts_only_where_nothing_else_may_have_moved_it() -> None:
     sent = send(certified("ordinary"), track, track, track)
     found = Diagnosis(certified("ordinary"), make_rig())
     found.lag = None  # the device ran dry
-    late = LOOPS["ordinary"].but(late=1144)
+    late = LOOPS["ordinary"].but(late=624)
     assert [found.judge(sent, play(late, sent)) for _ in range(2)] == ["", ""]
-    assert found.judge(sent, play(LOOPS["ordinary"], sent)).startswith("delay moved by -20.8 ms")
+    assert found.judge(sent, play(LOOPS["ordinary"], sent)).startswith("delay moved by -10.0 ms")
 
 
 def test_resonance_and_q_are_found_from_a_response() -> None:

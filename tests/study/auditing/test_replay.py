@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.study.session import events
 from feel321.study.session.events import ClockStepped, DeviceOpened, LineRecovered, SessionAborted
 from feel321.study.session.journal import Record
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
@@ -196,29 +194,6 @@ def test_a_rejection_that_was_undone_is_found(present: Present, scripted: type, 
     assert "has rejected False" in found
 
 
-def test_a_replay_that_is_cut_short_gives_no_finding(
-    present: Present, scripted: type, find: Find
-) -> None:
-    again = [Playback(1.0, 1.0), Playback(2.0, 2.0, completed=False)]
-    answer = Confirm(0.0, {"test": 50.0}, 1.5)
-    assert (
-        find(
-            list(
-                present(scripted(acts={(1, 1): [Feel(0.0, ""), answer]}, playbacks={(1, 1): again}))
-            )
-        )
-        == []
-    )
-
-
-def test_a_choice_that_is_none_is_found(
-    present: Present, scripted: type, find: Find, plan_task: Callable[..., Plan]
-) -> None:
-    plan = plan_task("abx")
-    (found,) = find(edit(present(scripted(), plan=plan), "rated", values={"x": 50.0}), plan)
-    assert "'refused', for it is not_answered x" in found
-
-
 def test_mending_and_ctrl_c_may_follow_the_end(finished: list[Record], find: Find) -> None:
     for event in (
         LineRecovered(3, "x"),
@@ -244,31 +219,3 @@ def test_no_record_whatever_it_holds_is_more_than_a_finding(
     forged += [replace(record, event=junk) for junk in JUNK]
     for other in forged:
         assert len(find([*finished[:place], other, *finished[place + 1 :]])) <= 1
-
-
-def test_a_record_with_other_fields_is_named(finished: list[Record], find: Find) -> None:
-    place = find_place(finished, "rated")
-    odd = replace(finished[place], data={"trial": 1, "attempt": 1})
-    assert find([*finished[:place], odd]) == [
-        f", line {place + 1}: is not a 'rated' record as feel321 writes it (values: Field required)"
-    ]
-
-
-def test_a_plan_that_cannot_be_worked_through_is_named(
-    finished: list[Record], find: Find, plan: Plan
-) -> None:
-    forged = replace(plan, trials=(None,))  # type: ignore[arg-type] - that it is none is the point
-    (found,) = find(finished, forged)
-    assert found.startswith(": its plan cannot be worked through")
-
-
-@pytest.mark.parametrize("kind", events.EVENTS.values())
-def test_every_event_is_read_as_it_was_written(kind: type[events.SessionEvent]) -> None:
-    values = {"int": 3, "float": 0.5, "str": "a", "bool": True, "float | None": None}
-    values |= {"dict[str, Any]": {"rig": [1]}, "list[str]": ["a"], "dict[str, str]": {"b": "c"}}
-    values |= {"dict[str, Any] | None": {"rig": [1]}, "dict[str, Any] | str | None": "uncalibrated"}
-    values |= {"dict[str, float]": {"b": 1.5}, "Mapping[str, float]": {"b": 1.5}}
-    values |= {"dict[str, float | str]": {"a": 1.0, "b": "a"}}
-    values |= {"float | str | None": "oak"}
-    event = kind(*(values[str(field.type)] for field in fields(kind)))
-    assert events.read_event(event.event, json.loads(json.dumps(event.to_data()))) == event
