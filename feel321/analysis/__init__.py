@@ -18,7 +18,11 @@ if _TYPE_CHECKING:
         compare_dependent,
         repeated_measures_correlation,
     )
-    from feel321.analysis.association.correlate import compare_metrics, correlate
+    from feel321.analysis.association.correlate import (
+        compare_metrics,
+        correlate,
+        tabulate_correlations,
+    )
     from feel321.analysis.association.rivals import rank_metrics
     from feel321.analysis.choices import fit_choices, predict_votes
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
@@ -57,7 +61,8 @@ __all__ = [
     "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "rank_metrics", "rater_model",
-    "read_table", "repeated_measures_correlation", "screen_raters", "write_report",
+    "read_table", "repeated_measures_correlation", "screen_raters",
+    "tabulate_correlations", "write_report",
 ]  # fmt: skip
 
 __getattr__ = _import_lazily(__name__, _list_imports(__file__))

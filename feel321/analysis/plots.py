@@ -127,7 +127,9 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     Axes
         The same: change in rating per +0.1 of a metric, a heading per model and a row per slope.
     """
-    ax, items = _find_axes(ax), models if isinstance(models, Mapping) else {"": models}
+    from feel321.analysis.primary.model import Primary
+
+    ax, items = _find_axes(ax), {"": models} if isinstance(models, Primary) else models
     named = {
         ", ".join(name) if isinstance(name, tuple) else str(name): one
         for name, one in items.items()

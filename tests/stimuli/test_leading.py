@@ -99,24 +99,6 @@ def test_anti_phase_axes_keep_their_waveform() -> None:
 # --- the axis --------------------------------------------------------------------------------------------------------
 
 
-def test_no_other_phase_does_better_than_the_best_axis() -> None:
-    """Point 1 of the derivation, by search over the sphere and over random phases."""
-    acceleration = uneven(301, 5)
-    acceleration -= acceleration.mean(axis=1, keepdims=True)
-    spectra = np.fft.rfft(acceleration)
-    energy = np.sum(np.abs(spectra) ** 2, axis=0)
-    axes = noise(4000, 3)
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    best = np.max(np.abs(axes @ spectra) @ np.sqrt(energy)) / energy.sum()
-    assert (
-        temporal_match_invariant(acceleration, dft321_principal(acceleration, RATE)) <= best * 1.001
-    )
-    for seed in range(50):
-        phases = np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=energy.size))
-        random = np.fft.irfft(np.sqrt(energy) * phases, 301)
-        assert temporal_match_invariant(acceleration, random) < best
-
-
 # --- conditioning and match on the scenes --------------------------------------------------------------------------
 
 

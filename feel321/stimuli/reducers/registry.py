@@ -17,7 +17,6 @@ References
 from collections.abc import Callable, Sequence
 from functools import partial
 from inspect import signature
-from typing import NamedTuple, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,9 +24,8 @@ from numpy.typing import ArrayLike
 from feel321.doors import Registry, check_name, describe, name_of
 from feel321.jobs import Workers, as_workers, gather_results
 from feel321.names import REDUCER_NAMES
-from feel321.stimuli.guard import OwnReducer, find_reducer
+from feel321.stimuli.guard import find_reducer
 from feel321.stimuli.recording import (
-    AXES,
     SAFE_PEAK,
     Recording,
     Reduced,
@@ -124,54 +122,21 @@ PIECE = 1 << 20
 """Samples per axis of one job."""
 
 
-class _One(NamedTuple):
-    """A signal of a batch, (3, n), with the name that a refusal gives it."""
-
-    name: str
-    samples: Samples
-    rate_hz: float
-
-
-@overload
 def reduce_many(
     recordings: Sequence[Recording],
-    reducer: str | Reducer = ...,
-    *,
-    rate_hz: None = ...,
-    window_s: float | None = ...,
-    workers: int | Workers = ...,
-) -> list[Reduced]: ...
-
-
-@overload
-def reduce_many(
-    recordings: ArrayLike,
-    reducer: str | Reducer = ...,
-    *,
-    rate_hz: float | None = ...,
-    window_s: float | None = ...,
-    workers: int | Workers = ...,
-) -> Samples: ...
-
-
-def reduce_many(
-    recordings: Sequence[Recording] | ArrayLike,
     reducer: str | Reducer = "dft321",
     *,
-    rate_hz: float | None = None,
     window_s: float | None = None,
     workers: int | Workers = 1,
-) -> list[Reduced] | Samples:
+) -> list[Reduced]:
     """Reduce many recordings, as `reduce` reduces one: the same results, bit for bit, in less time if they are short.
 
     Parameters
     ----------
-    recordings : sequence of Recording, or array_like of shape (k, 3, n_samples)
-        Recordings of any lengths and rates; or acceleration of equal lengths at one rate.
+    recordings : sequence of Recording
+        Recordings of any lengths and rates. An array (k, 3, n) at one rate goes through `REDUCERS` as it is.
     reducer : str or callable
         As for `reduce`.
-    rate_hz : float, optional
-        Sampling rate of an array in Hz.
     window_s : float, optional
         Length of a window in s, for the reducers that work in windows; 0.035 unless given.
     workers : int or Workers
@@ -179,13 +144,13 @@ def reduce_many(
 
     Returns
     -------
-    list of Reduced, or ndarray of shape (k, n_samples)
-        A Reduced of each Recording; or an array of an array.
+    list of Reduced
+        One of each recording.
 
     Raises
     ------
     ValueError
-        As `reduce` does; the message names the recording, or its place in the array, from 0.
+        As `reduce` does; the message names the recording.
 
     Examples
     --------
@@ -193,92 +158,46 @@ def reduce_many(
     >>> scenes = [stimuli.make_scene(name, duration_s=1) for name in ("bumps", "hard_taps")]
     >>> stimuli.reduce_many(scenes, "dft321")[1]
     Reduced('dft321' of 'hard_taps', 10000 samples at 10000 Hz, 1 s)
-    >>> stimuli.reduce_many([[[1, 2], [3, 4], [5, 6]]] * 3, "soc321", rate_hz=1000)
-    array([[ 9., 12.],
-           [ 9., 12.],
-           [ 9., 12.]])
     """
-    batch = _list_batch(recordings, rate_hz)
-    function, name = with_window(REDUCERS.find(reducer), window_s), name_of(reducer)
-    ours = reducer in REDUCERS or reducer in REDUCERS.values() or isinstance(function, OwnReducer)
-    rows = _run(batch, _reduce_piece, workers, function=function, name=name, together=ours)
-    if isinstance(recordings, Sequence) and all(isinstance(one, Recording) for one in recordings):
-        return [
-            Reduced(row, one.rate_hz, name, one.name)
-            for row, one in zip(rows, recordings, strict=True)
-        ]
-    return np.array(rows, dtype=np.float64).reshape(len(rows), np.shape(recordings)[-1])
-
-
-def _list_batch(given: Sequence[Recording] | ArrayLike, rate_hz: float | None) -> list[_One]:
-    """Check a batch, and list its signals."""
-    if isinstance(given, Recording):
+    if isinstance(recordings, Recording):
         raise TypeError("recordings must be many, got one Recording; write [recording]")
-    is_list = isinstance(given, Sequence) and not isinstance(given, str)
-    several = cast("Sequence[object]", given if is_list else [given])
-    others = [one for one in several if not isinstance(one, Recording)]
-    if 0 < len(others) < len(several):
-        raise TypeError(f"recordings must each be a Recording, got {describe(others[0])}")
-    signals: Sequence[Recording] | Samples = cast("Sequence[Recording]", given)
-    if others:
-        signals = np.asarray(given)
-        if signals.ndim != 3 or signals.shape[1] != AXES:  # noqa: PLR2004 - signals x axes x samples
-            raise ValueError(
-                f"recordings must be Recordings, or an array of shape (k, 3, n); got the shape {signals.shape}"
-            )
-        as_signal(signals, rate_hz)
-    found = []
-    for place, one in enumerate(signals):
-        samples, rate = as_signal(one, rate_hz)
-        name = repr(one.name) if isinstance(one, Recording) else str(place)
-        found.append(_One(name, cast("Samples", samples), rate))
-    return found
-
-
-def _run(
-    batch: Sequence[_One], work: Callable[..., list[Samples]], workers: int | Workers, **how: object
-) -> list[Samples]:
-    """Do the work on signals of one length and rate at a time, and return a row per signal, in their order."""
     groups: dict[tuple[int, float], list[int]] = {}
-    for place, one in enumerate(batch):
-        groups.setdefault((np.shape(one.samples)[-1], one.rate_hz), []).append(place)
+    for place, one in enumerate(recordings):
+        if not isinstance(one, Recording):
+            raise TypeError(f"recordings must each be a Recording, got {describe(one)}")
+        groups.setdefault((one.n_samples, one.rate_hz), []).append(place)
     pieces = [
-        piece for (n, _), places in groups.items() for piece in _cut(places, max(1, PIECE // max(1, n)))
-    ]  # fmt: skip
-    jobs = [(work, ([batch[place] for place in piece],), how) for piece in pieces]
-    rows: dict[int, Samples] = {}
-    for piece, found in zip(pieces, gather_results(jobs, workers=as_workers(workers)), strict=True):
-        rows |= zip(piece, found, strict=True)
-    return [rows[place] for place in sorted(rows)]
+        places[start : start + max(1, PIECE // n)]
+        for (n, _), places in groups.items()
+        for start in range(0, len(places), max(1, PIECE // n))
+    ]
+    is_ours = reducer in REDUCERS or reducer in REDUCERS.values()
+    how = {"function": with_window(REDUCERS.find(reducer), window_s), "together": is_ours}
+    jobs = [(_reduce_alike, ([recordings[one] for one in piece],), how) for piece in pieces]
+    found: dict[int, Reduced] = {}
+    for piece, rows in zip(pieces, gather_results(jobs, workers=as_workers(workers)), strict=True):
+        for place, row in zip(piece, rows, strict=True):
+            one = recordings[place]
+            found[place] = Reduced(row, one.rate_hz, name_of(reducer), one.name)
+    return [found[place] for place in sorted(found)]
 
 
-def _cut(items: Sequence[int], size: int) -> list[Sequence[int]]:
-    return [items[start : start + size] for start in range(0, len(items), size)]
-
-
-def _reduce_piece(
-    piece: Sequence[_One], *, function: Reducer, name: str, together: bool
+def _reduce_alike(
+    recordings: Sequence[Recording], *, function: Reducer, together: bool
 ) -> list[Samples]:
-    """Reduce signals, together where that is worth it; a refusal is repeated for the one that it is about."""
+    """Reduce recordings of one length and rate; several at a time where that is worth it."""
+    n, rate_hz = recordings[0].n_samples, recordings[0].rate_hz
+    size = max(1, AT_A_TIME // n) if together and n <= LONGEST else 1
     found: list[Samples] = []
-    n = np.shape(piece[0].samples)[-1]
-    for places in _cut(range(len(piece)), max(1, AT_A_TIME // max(1, n))):
-        few = [piece[place] for place in places]
-        if together and len(few) > 1 and n <= LONGEST:
-            try:
-                samples = coerce_acceleration(np.array([one.samples for one in few]))
-                reduced = coerce_real(function(samples, few[0].rate_hz), name)
-                check_finite(reduced, name)
-            except ValueError:
-                pass
-            else:
-                found += [*reduced]
-                continue
-        for one in few:
-            try:
-                found.append(reduce(one.samples, function, rate_hz=one.rate_hz).samples)
-            except ValueError as error:
-                raise ValueError(f"recording {one.name}: {error}") from None
+    for start in range(0, len(recordings), size):
+        few = recordings[start : start + size]
+        if len(few) > 1:
+            found += [*function(np.array([one.acceleration for one in few]), rate_hz)]
+            continue
+        try:
+            found.append(reduce(few[0], function).samples)
+        except ValueError as error:
+            raise ValueError(f"recording {few[0].name!r}: {error}") from None
     return found
 
 

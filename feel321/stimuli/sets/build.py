@@ -3,8 +3,8 @@
 Both passes go over the recordings in parallel. *Measure* renders what is not remembered at unit gain, keeps it as a
 part in m/s² and measures it; *write* gives every stimulus the gain of its level. Between them stands the only thing
 that needs the whole set: the gain. Finished files wait in a folder of their own until all are there; then the old
-manifest goes, the files move in, and the new manifest comes last. So a set that has a manifest is complete, and a build
-that was killed leaves the former set as it was.
+manifest goes, the files move in, and the new manifest comes last. So a set that has a manifest is complete; what a
+killed build left unfinished is begun anew.
 
 What a build remembers is `built.jsonl`, a line per stimulus; a damaged line, or one whose file does not hold what it
 says, is a stimulus that is made again.

@@ -37,14 +37,20 @@ class Stimulus:
 
     Parameters
     ----------
-    stimulus_id, recording, reducer, level, role, file, sha256, recording_sha256 : str
-        What it is, where, and the digests of the file and of its source.
-    rate_hz, duration_s, peak, rms_m_s2, gain, sensation_level_db : float
-        How long and how strong it is; the last is NaN for silence.
-    n_samples, clipped : int
-        How many samples it has, and how many of them were limited.
-    spectral_match, temporal_match, spectral_match_bounded, temporal_match_windowed, band_high_hz : float
-        How well it matches its recording, and up to which frequency; NaN where nothing could be compared.
+    stimulus_id, recording, reducer, level, role, file : str
+        What it is, and where.
+    rate_hz : float
+        Its rate.
+    n_samples : int
+        Its length per channel.
+    duration_s, peak, rms_m_s2, gain, spectral_match, temporal_match : float
+        How long and how strong it is, and how well it matches its recording; NaN where nothing could be compared.
+    clipped : int
+        How many samples were limited.
+    sha256, recording_sha256 : str
+        The digests of the file and of its source.
+    spectral_match_bounded, sensation_level_db, temporal_match_windowed, band_high_hz : float
+        Further numbers; the sensation level is NaN for silence.
     metrics : Mapping of str to float
         Further metrics, each a column of its own; NaN where nothing could be compared.
     """
