@@ -9,8 +9,6 @@ from feel321.analysis.primary.model import Primaries, Primary
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.standing import About, Hypothesis, Standing
 from feel321.analysis.report.write import Results
-from feel321.analysis.screening.consistency import RaterModel
-from feel321.analysis.screening.screen import Screening
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.judge import Context
@@ -35,9 +33,7 @@ __all__ = [
     "Primaries",
     "Primary",
     "Problems",
-    "RaterModel",
     "Results",
-    "Screening",
     "Seal",
     "Signal",
     "Standing",

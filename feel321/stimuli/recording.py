@@ -291,12 +291,19 @@ def check_acceleration(acceleration: ArrayLike) -> Samples:
     return samples
 
 
+def suggest_transpose(samples: Samples) -> str:
+    """Say what to do with samples by axes, (n, 3); nothing of other shapes."""
+    is_turned = samples.ndim > 1 and samples.shape[-1] == AXES != samples.shape[-2]
+    return "; transpose it: samples.T" if is_turned else ""
+
+
 def coerce_acceleration(acceleration: ArrayLike) -> Samples:
     """Coerce to float64 of shape (..., 3, n); whether the values are finite is left to the caller."""
     samples = coerce_real(acceleration, "acceleration")
     if samples.ndim < 2 or samples.shape[-2] != AXES:  # noqa: PLR2004 - axes x samples
         raise ValueError(
             f"acceleration must have the shape (..., 3, n), three axes, then samples; got {samples.shape}"
+            f"{suggest_transpose(samples)}"
         )
     return samples
 

@@ -26,9 +26,8 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.screening.consistency import RaterModel
-    from feel321.analysis.screening.screen import Screening
     from feel321.analysis.table.items import Table
+    from feel321.records import Statistic
 
 NORMAL = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % interval."""
@@ -45,7 +44,7 @@ AGREEMENT = (
     "icc_c_1", "icc_a_1", "icc_c_k", "icc_a_k", "alpha", "n_participants", "n_complete",
 )  # fmt: skip
 FIT = ("loglikelihood", "aic", "bic", "n_parameters")
-Models = list[tuple[Part, "RaterModel"]]
+Models = list[tuple[Part, "Statistic"]]
 
 
 def compute(table: Table, choices: Choices) -> Found:
@@ -105,7 +104,7 @@ def _draw_raters(models: Models, flagged: set[str]) -> Figure:
     return kinds.draw_estimates(frame, label, columns=columns, series="series")
 
 
-def list_flagged(screening: Screening, group: str) -> list[Hashable]:
+def list_flagged(screening: Statistic, group: str) -> list[Hashable]:
     """List whom a group leaves out."""
     chosen = {
         EVERYONE: [], ANY: screening.rules,
@@ -114,7 +113,7 @@ def list_flagged(screening: Screening, group: str) -> list[Hashable]:
     return sorted({who for rule in chosen for who in screening.hits[rule]}, key=str)
 
 
-def describe_flagged(screening: Screening) -> Row:
+def describe_flagged(screening: Statistic) -> Row:
     """Count the flagged raters, and those flagged by rules of BS.1534-3; applied: whether these apply."""
     own = [rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")]
     shares = screening.table.loc[screening.table["rule"].isin(own), "share"]
@@ -124,7 +123,7 @@ def describe_flagged(screening: Screening) -> Row:
     }  # fmt: skip
 
 
-def _list_screening(screening: Screening) -> dict[str, list[Row]]:
+def _list_screening(screening: Statistic) -> dict[str, list[Row]]:
     everyone, rules = screening.table["participant"].nunique(), []
     for rule, hits in screening.hits.items():
         known = screening.known[rule]
@@ -148,7 +147,7 @@ def _list_screening(screening: Screening) -> dict[str, list[Row]]:
         "reliability": list_rows(panel, AGREEMENT, keys),
         "screening": list_rows(screening.table, each, ["rule", "participant", "n"]),
         "expertise": list_rows(screening.gauge, expertise, ["participant", "measure"]),
-        "shapes": list_rows(screening.items, shapes, {"stimulus": "item", "n": "n"}),
+        "shapes": list_rows(screening.stimuli, shapes, {"stimulus": "item", "n": "n"}),
     }
 
 
@@ -201,7 +200,7 @@ def _list_slopes(table: Table, slopes: Sequence[Row]) -> list[Row]:
 # The primary slopes without flagged raters.
 
 
-def _vary(table: Table, screening: Screening, choices: Choices) -> Iterator[Row]:
+def _vary(table: Table, screening: Statistic, choices: Choices) -> Iterator[Row]:
     """Fit each part without those whom each group leaves out; the same people are fitted once."""
     for part in parts.thin_parts(table, choices):
         fitted: dict[tuple[Hashable, ...], list[Row]] = {}
@@ -237,7 +236,7 @@ def conclude_panels(slopes: Sequence[Row]) -> list[Row]:
     return rows
 
 
-def _describe_model(part: Part, model: RaterModel) -> Row:
+def _describe_model(part: Part, model: Statistic) -> Row:
     """Find who rates high or low, and whether somebody's ratings are unlike all others in consistency."""
     from scipy.special import ndtri
 

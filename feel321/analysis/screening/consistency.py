@@ -8,7 +8,6 @@ stands out by an inconsistency that no other rater's is like.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -25,7 +24,7 @@ from feel321.analysis.table.items import (
     open_ratings,
     refuse_pooled,
 )
-from feel321.records import Result
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -51,54 +50,6 @@ MOST_APART = 0.25
 """Share of raters who may stand out; with more of them it is not they who are the exception."""
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class RaterModel(Result):
-    """Raters and stimuli by the model of ITU-T P.913.
-
-    Parameters
-    ----------
-    raters : DataFrame
-        Indexed by participant: bias and inconsistency, in points, with their standard errors bias_se and
-        inconsistency_se; n, the number of ratings; weight, the share in the qualities; apart, whether the rater's
-        inconsistency is unlike the others'. Biases sum to zero.
-    stimuli : DataFrame
-        Indexed by stimulus: quality, in points; se, from the spread of the stimulus's own residuals, which is wider
-        where people disagree; se_raters, from the raters' inconsistencies; n, the number of ratings.
-    loglikelihood, aic, bic : float
-        Per rating.
-    n_ratings, n_parameters, n_rounds : int
-        Ratings; qualities, biases and inconsistencies; rounds of projection.
-    notes : tuple of str
-        What is unusual, one sentence each.
-    """
-
-    raters: DataFrame
-    stimuli: DataFrame
-    loglikelihood: float
-    aic: float
-    bic: float
-    n_ratings: int
-    n_parameters: int
-    n_rounds: int
-    notes: tuple[str, ...] = ()
-
-    @property
-    def apart(self) -> tuple[str, ...]:
-        """Raters whose inconsistency is unlike the others', the least consistent first."""
-        found = self.raters[self.raters["apart"]].sort_values("inconsistency", ascending=False)
-        return tuple(map(str, found.index))
-
-    def to_frame(self) -> DataFrame:
-        """Return the raters.
-
-        Returns
-        -------
-        DataFrame
-            A row per rater: participant, and the columns of `raters`.
-        """
-        return self.raters.reset_index()
-
-
 class _Votes(NamedTuple):
     """Votes one by one: points, number of the rater and of the stimulus, and the names of both."""
 
@@ -111,7 +62,7 @@ class _Votes(NamedTuple):
 
 def rater_model(
     ratings: Table | DataFrame | ArrayLike, *, scale: str | None = None, level: str | None = None
-) -> RaterModel:
+) -> Statistic:
     """Estimate the bias and inconsistency of each rater, and the quality of each stimulus without them.
 
     Parameters
@@ -124,8 +75,13 @@ def rater_model(
 
     Returns
     -------
-    RaterModel
-        Raters, stimuli, and how likely the ratings are.
+    Statistic
+        ``raters``, a table by participant: bias and inconsistency, in points, with their standard errors bias_se and
+        inconsistency_se; n, the number of ratings; weight, the share in the qualities; apart, whether the rater's
+        inconsistency is unlike the others'; biases sum to zero. ``stimuli``, by stimulus: quality, in points; se, from
+        the spread of the stimulus's own residuals, which is wider where people disagree; se_raters, from the raters'
+        inconsistencies; n. ``apart``, raters whose inconsistency is unlike the others', the least consistent first;
+        ``loglikelihood aic bic``, per rating; ``n_ratings n_parameters n_rounds notes``.
 
     Raises
     ------
@@ -181,7 +137,9 @@ def rater_model(
     apart, notes = find_apart(spread)
     import pandas as pd
 
-    return RaterModel(
+    order = np.argsort(-spread, kind="stable")
+    return Statistic(
+        "RaterModel",
         raters=pd.DataFrame(
             {
                 "bias": bias, "bias_se": spread / np.sqrt(counts), "inconsistency": spread,
@@ -197,6 +155,7 @@ def rater_model(
             },
             index=pd.Index(votes.items, name=STIMULUS, dtype=object),
         ),
+        apart=tuple(votes.raters[place] for place in order if apart[place]),
         loglikelihood=loglikelihood, aic=2 * n_parameters / n - 2 * loglikelihood,
         bic=math.log(n) * n_parameters / n - 2 * loglikelihood,
         n_ratings=n, n_parameters=n_parameters, n_rounds=rounds, notes=(*notes, *lone),

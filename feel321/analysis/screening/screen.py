@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,7 @@ from feel321.analysis.screening.rules import EXPERTISE, RULES, SIGHTED, Judgemen
 from feel321.analysis.table.items import Table, leave_rejected, name_stimuli, open_ratings
 from feel321.doors import as_rng, describe
 from feel321.extensions import Method, call, find_method
-from feel321.records import Result
+from feel321.records import Statistic
 from feel321.types import Rng
 
 if TYPE_CHECKING:
@@ -28,109 +27,13 @@ if TYPE_CHECKING:
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
 
 
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Screening(Result):
-    """What every rule found of every rater.
-
-    Parameters
-    ----------
-    table : DataFrame
-        participant, rule, count, n, share, limit, hit; one row each. ``share`` is count / n, or the value that the
-        rule compares with its limit (a correlation, a standard deviation); NaN where the rule does not apply.
-    items : DataFrame
-        Per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal (above 5/9).
-    gauge : DataFrame
-        participant, measure (discrimination, reliability, agreement), value, floor and p of its permutation null; empty
-        without the rule ``expertise``.
-    panel : DataFrame
-        Reliability of everyone, and of those whom no rule flagged, per scale: intraclass correlations and alpha.
-    limits : Mapping of str to float
-        Limit of each rule that was asked for; that of ``test_retest`` is lower for raters with many pairs.
-    notes : tuple of str
-        Which rules were not applied, and why; one sentence each.
-    known : Mapping of str to Rule
-        `RULES`, and the lab's own.
-    """
-
-    table: DataFrame
-    items: DataFrame
-    gauge: DataFrame
-    panel: DataFrame
-    limits: Mapping[str, float]
-    notes: tuple[str, ...] = ()
-    known: Mapping[str, Rule] = field(default_factory=lambda: RULES)
-
-    @property
-    def rules(self) -> tuple[str, ...]:
-        """Names of the rules that were asked for."""
-        return tuple(self.limits)
-
-    @property
-    def hits(self) -> dict[str, tuple[Hashable, ...]]:
-        """Raters that each rule flagged."""
-        hit = self.table[self.table["hit"]]
-        return {rule: tuple(hit.loc[hit["rule"] == rule, "participant"]) for rule in self.rules}
-
-    @property
-    def count(self) -> DataFrame:
-        """Counts, participants x rules."""
-        return self._spread("count")
-
-    @property
-    def share(self) -> DataFrame:
-        """Shares, participants x rules."""
-        return self._spread("share")
-
-    @property
-    def limit(self) -> DataFrame:
-        """Limits, participants x rules."""
-        return self._spread("limit")
-
-    @property
-    def hit(self) -> DataFrame:
-        """Flags, participants x rules."""
-        return self._spread("hit")
-
-    def to_frame(self) -> DataFrame:
-        """Return what was found.
-
-        Returns
-        -------
-        DataFrame
-            participant, rule, count, n, share, limit, hit; one row each.
-        """
-        return self.table
-
-    def summary(self) -> str:
-        """Write the flags for reading.
-
-        Returns
-        -------
-        str
-            A line per rule with the raters that it flagged, and the notes.
-        """
-        said = {
-            rule: self.known[rule].says.format(limit=limit) for rule, limit in self.limits.items()
-        }
-        lines = [
-            f"{rule} ({said[rule]}): {', '.join(map(str, who)) or 'nobody'}"
-            for rule, who in self.hits.items()
-        ]
-        return "\n".join([*lines, *self.notes])
-
-    def _spread(self, what: str) -> DataFrame:
-        return self.table.pivot_table(what, "participant", "rule", aggfunc="first", dropna=False)[
-            list(self.rules)
-        ]
-
-
 def screen_raters(
     table: Table | DataFrame,
     rules: Iterable[str] | Mapping[str, float] | None = None,
     *,
     own: Iterable[object] = (),
     rng: Rng | None = None,
-) -> Screening:
+) -> Statistic:
     """Apply every screening rule to every rater. Nobody is removed.
 
     Parameters
@@ -149,8 +52,14 @@ def screen_raters(
 
     Returns
     -------
-    Screening
-        Per rater and rule count, share, limit and hit; flagged raters; items; reliability with and without those.
+    Statistic
+        ``table``, a row per rater and rule: participant, rule, count, n, share, limit, hit. ``share`` is count / n, or
+        the value that the rule compares with its limit (a correlation, a standard deviation); NaN where the rule does
+        not apply. ``count share limit hit``, the same as participants x rules; ``hits``, the raters that each rule
+        flagged. ``stimuli``, per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal
+        (above 5/9). ``gauge``: participant, measure (discrimination, reliability, agreement), value, floor and p of its
+        permutation null; empty without the rule ``expertise``. ``panel``: reliability of everyone, and of those whom
+        no rule flagged, per scale. ``limits`` of each rule asked for; ``rules known notes``.
 
     Raises
     ------
@@ -206,20 +115,22 @@ def screen_raters(
         )
     parts = [part.reset_index().assign(rule=name) for name, part in found.items()]
     screened = pd.concat(parts, ignore_index=True)
-    hit = screened.loc[screened["hit"], "participant"].unique()
-    return Screening(
-        table=screened[["participant", "rule", "count", "n", "share", "limit", "hit"]],
-        items=_describe_items(judgements),
-        gauge=gauge,
-        panel=describe_panel(ratings, hit),
-        limits=limits,
-        notes=(
-            *left_out,
-            *_explain_protocols(judgements, [name for name in limits if known[name].protocols]),
-            *_explain_rules(found, judgements, known),
-        ),
-        known=known,
-    )
+    screened = screened[["participant", "rule", "count", "n", "share", "limit", "hit"]]
+    flagged = screened[screened["hit"]]
+    hits = {name: tuple(flagged.loc[flagged["rule"] == name, "participant"]) for name in limits}
+
+    def spread(what: str) -> DataFrame:
+        wide = screened.pivot_table(what, "participant", "rule", aggfunc="first", dropna=False)
+        return wide[list(limits)]
+
+    bound = [name for name in limits if known[name].protocols]
+    notes = [*left_out, *_explain_protocols(judgements, bound)]
+    return Statistic(
+        "Screening", table=screened, hits=hits, rules=tuple(limits), limits=limits, known=known,
+        stimuli=_describe_items(judgements), gauge=gauge, panel=describe_panel(ratings, set(flagged["participant"])),
+        notes=(*notes, *_explain_rules(found, judgements, known)),
+        **{what: spread(what) for what in ("count", "share", "limit", "hit")},
+    )  # fmt: skip
 
 
 def describe_panel(ratings: DataFrame, hit: Iterable[object]) -> DataFrame:

@@ -173,7 +173,7 @@ def test_items_tell_two_camps() -> None:
     table.loc[odd & (table["recording"] == "r1") & (table["reducer"] == "reducer0"), "rating"] = (
         90.0
     )
-    items = screen_raters(table, rules=["outliers"]).items.set_index("item")
+    items = screen_raters(table, rules=["outliers"]).stimuli.set_index("item")
     assert items.index[items["multimodal"]].tolist() == ["mushra/r1/reducer0/as_is"]
     assert (items["n"] == 30).all()
 
