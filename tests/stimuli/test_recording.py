@@ -6,8 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.doors import check_rate
 from feel321.stimuli import REDUCERS, psd, spectral_match
-from feel321.stimuli.recording import Recording, check_acceleration, check_rate
+from feel321.stimuli.recording import Recording, check_acceleration
 
 
 def test_samples_are_copied_and_cannot_be_changed() -> None:
