@@ -5,16 +5,18 @@ from __future__ import annotations
 import difflib
 import importlib
 import json
+import math
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
+    from numpy.typing import ArrayLike, NDArray
 
 
 TICK_S = 1.0
@@ -160,6 +162,50 @@ def describe(value: object) -> str:
     text = repr(value)
     fits = len(text) <= 60 and "\n" not in text  # noqa: PLR2004 - characters of one line's message
     return text if fits else f"a {type(value).__name__}"
+
+
+def coerce_real(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Coerce real numbers to float64, or say what they are instead."""
+    import numpy as np
+
+    try:
+        given = np.asarray(values)
+    except ValueError as error:
+        raise ValueError(
+            f"{what} must be one array, got rows of unequal lengths ({error})"
+        ) from None
+    if given.dtype.kind not in "biuf":
+        raise ValueError(f"{what} must be real numbers, got values of type {given.dtype}")
+    if np.ma.is_masked(values):
+        raise ValueError(f"{what} must not be masked; fill the masked values or cut them out first")
+    return given.astype(np.float64, copy=False)
+
+
+def check_finite(samples: NDArray[np.float64], what: str) -> None:
+    """Raise ValueError that counts and places the values that are not finite."""
+    import numpy as np
+
+    # A finite sum proves that all are finite, in one pass; an infinite one may only be an overflow.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if np.isfinite(samples.sum()):
+            return
+    bad = np.argwhere(~np.isfinite(samples))
+    if len(bad):
+        place = ", ".join(str(i) for i in bad[0])
+        raise ValueError(
+            f"{what} must be finite, got {len(bad)} values that are not (first at {place}); remove or correct them"
+        )
+
+
+def check_rate(rate_hz: SupportsFloat | str, what: str = "rate_hz", unit: str = " of Hz") -> float:
+    """Return a rate, or any other quantity above 0, as float, or say what is wrong."""
+    try:
+        rate = float(rate_hz)
+    except (OverflowError, TypeError, ValueError):
+        rate = float("nan")
+    if not (math.isfinite(rate) and rate > 0):
+        raise ValueError(f"{what} must be a finite number{unit} above 0, got {describe(rate_hz)}")
+    return rate
 
 
 Entry = TypeVar("Entry")

@@ -86,14 +86,7 @@ def write_bytes(path: Path, content: bytes, *, private: bool = False) -> None:
     _write(path, [content], private=private)
 
 
-def replace_bytes(path: Path, content: bytes) -> None:
-    """Write a file in one step, whoever else writes it; after a power cut it may be damaged."""
-    _write(path, [content], is_durable=False)
-
-
-def _write(
-    path: Path, chunks: Iterable[bytes], *, private: bool = False, is_durable: bool = True
-) -> int:
+def _write(path: Path, chunks: Iterable[bytes], *, private: bool = False) -> int:
     """Write a file beside its target, which takes its name as a whole; counts the chunks."""
     count = 0
     with _naming(path), _unfinished(path, private=private) as (file, unfinished):
@@ -103,27 +96,21 @@ def _write(
         is_open = private and os.name != "nt" and path.is_file() and path.stat().st_mode & 0o027
         if path.is_file() and not is_open and cmp(unfinished, path, shallow=False):
             return count
-        if is_durable:
-            os.fsync(file.fileno())
+        os.fsync(file.fileno())
         if os.name == "nt":  # pragma: no cover - an open file is not moved there
             file.close()
         unfinished.replace(path)
-        if is_durable:
-            sync_folder(path.parent)
+        sync_folder(path.parent)
     return count
 
 
 @contextmanager
 def _unfinished(path: Path, *, private: bool) -> Iterator[tuple[BinaryIO, Path]]:
     """Open a file beside its target, so that the replacement stays on one file system and is atomic; it is held."""
-    while True:
-        place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
-        flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-        descriptor = os.open(place, flags, find_mode(path, private=private))
-        _lock(descriptor, wait=True)
-        if os.fstat(descriptor).st_nlink:
-            break
-        os.close(descriptor)  # pragma: no cover - swept between its making and its hold
+    place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
+    flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(place, flags, find_mode(path, private=private))
+    _lock(descriptor, wait=True)
     try:
         with os.fdopen(descriptor, "wb") as file:
             yield file, place
@@ -206,19 +193,16 @@ def temporary_folder(beside: Path | None = None) -> Iterator[Path]:
 
     It is held by its process: `sweep` removes one whose process was killed.
     """
-    while True:
-        place = None if beside is None else beside.parent
-        folder = Path(tempfile.mkdtemp(prefix=f"feel321-{os.getpid()}-", dir=place))
-        hold = _hold(folder)
-        _lock(hold, wait=True)
-        if folder.is_dir():
-            break
-        _let_go(hold)  # pragma: no cover - swept between its making and its hold
+    place = None if beside is None else beside.parent
+    folder = Path(tempfile.mkdtemp(prefix=f"feel321-{os.getpid()}-", dir=place))
+    hold = _hold(folder)
+    _lock(hold, wait=True)
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        _let_go(hold)
+        if hold >= 0:
+            os.close(hold)
 
 
 def sweep(folder: Path) -> list[Path]:
@@ -323,11 +307,6 @@ def _hold(path: Path) -> int:
         return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except OSError:
         return -1
-
-
-def _let_go(descriptor: int) -> None:
-    if descriptor >= 0:
-        os.close(descriptor)
 
 
 def _lock(descriptor: int, *, wait: bool = False) -> bool:

@@ -62,6 +62,8 @@ WRITTEN = (*MATCHES, "temporal_match_windowed")
 ANCHOR = "anchor"
 """The role of anchors in the manifest."""
 
+ANCHOR_NAMES = ("anchor_low", "anchor_mid")
+
 MEASURES: Mapping[str, str] = Registry(
     "measure",
     {

@@ -24,7 +24,7 @@ if _TYPE_CHECKING:
         tabulate_correlations,
     )
     from feel321.analysis.association.rivals import rank_metrics
-    from feel321.analysis.choices import fit_choices, predict_votes
+    from feel321.analysis.choices import predict_votes
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
     from feel321.analysis.contrasts.compare import compare_reducers, equivalence
     from feel321.analysis.contrasts.told_apart import discriminate
@@ -56,7 +56,7 @@ if _TYPE_CHECKING:
 __all__ = [
     "RULES", "PowerDesign", "Table", "Truth", "advise_tradeoff", "bradley_terry",
     "compare_dependent", "compare_metrics", "compare_reducers", "contrast", "correlate",
-    "discriminate", "equivalence", "fit_attributes", "fit_choices", "fit_mixed", "fit_primary",
+    "discriminate", "equivalence", "fit_attributes", "fit_mixed", "fit_primary",
     "fit_space", "intraclass",
     "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",

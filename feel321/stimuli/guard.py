@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.doors import describe
+from feel321.doors import coerce_real, describe
 from feel321.extensions import RECORDING, Method, call, find_method, split_command
 from feel321.files import temporary_folder
-from feel321.stimuli.recording import check_acceleration, coerce_real
+from feel321.stimuli.recording import check_acceleration
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.types import MetricInfo, Samples
 

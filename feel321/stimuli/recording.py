@@ -9,12 +9,12 @@ import hashlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, SupportsFloat, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from feel321.doors import check_name, describe
+from feel321.doors import check_finite, check_name, check_rate, coerce_real
 from feel321.records import Result
 from feel321.types import Samples
 
@@ -291,54 +291,21 @@ def check_acceleration(acceleration: ArrayLike) -> Samples:
     return samples
 
 
+def suggest_transpose(samples: Samples) -> str:
+    """Say what to do with samples by axes, (n, 3); nothing of other shapes."""
+    is_turned = samples.ndim > 1 and samples.shape[-1] == AXES != samples.shape[-2]
+    return "; transpose it: samples.T" if is_turned else ""
+
+
 def coerce_acceleration(acceleration: ArrayLike) -> Samples:
     """Coerce to float64 of shape (..., 3, n); whether the values are finite is left to the caller."""
     samples = coerce_real(acceleration, "acceleration")
     if samples.ndim < 2 or samples.shape[-2] != AXES:  # noqa: PLR2004 - axes x samples
         raise ValueError(
             f"acceleration must have the shape (..., 3, n), three axes, then samples; got {samples.shape}"
+            f"{suggest_transpose(samples)}"
         )
     return samples
-
-
-def coerce_real(values: ArrayLike, what: str) -> Samples:
-    """Coerce real numbers to float64, or say what they are instead."""
-    try:
-        given = np.asarray(values)
-    except ValueError as error:
-        raise ValueError(
-            f"{what} must be one array, got rows of unequal lengths ({error})"
-        ) from None
-    if given.dtype.kind not in "biuf":
-        raise ValueError(f"{what} must be real numbers, got values of type {given.dtype}")
-    if np.ma.is_masked(values):
-        raise ValueError(f"{what} must not be masked; fill the masked values or cut them out first")
-    return given.astype(np.float64, copy=False)
-
-
-def check_finite(samples: Samples, what: str) -> None:
-    """Raise ValueError that counts and places the values that are not finite."""
-    # A finite sum proves that all are finite, in one pass; an infinite one may only be an overflow.
-    with np.errstate(over="ignore", invalid="ignore"):
-        if np.isfinite(samples.sum()):
-            return
-    bad = np.argwhere(~np.isfinite(samples))
-    if len(bad):
-        place = ", ".join(str(i) for i in bad[0])
-        raise ValueError(
-            f"{what} must be finite, got {len(bad)} values that are not (first at {place}); remove or correct them"
-        )
-
-
-def check_rate(rate_hz: SupportsFloat | str, what: str = "rate_hz", unit: str = " of Hz") -> float:
-    """Return a rate, or any other quantity above 0, as float, or say what is wrong."""
-    try:
-        rate = float(rate_hz)
-    except (OverflowError, TypeError, ValueError):
-        rate = float("nan")
-    if not (np.isfinite(rate) and rate > 0):
-        raise ValueError(f"{what} must be a finite number{unit} above 0, got {describe(rate_hz)}")
-    return rate
 
 
 def admit(acceleration: ArrayLike, rate_hz: float) -> tuple[Samples, Samples]:

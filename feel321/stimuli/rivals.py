@@ -63,7 +63,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.doors import Registry
+from feel321.doors import Registry, check_finite, coerce_real
 from feel321.names import MOST_DB
 from feel321.stimuli import recording
 from feel321.stimuli.match import (
@@ -140,13 +140,13 @@ def make_pair(
 def make_pairs(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> Pair:
     """Check recordings (..., 3, n) and as many reduced signals (..., n)."""
     samples, _ = recording.admit(acceleration, rate_hz)
-    signal = recording.coerce_real(reduced, "reduced")
+    signal = coerce_real(reduced, "reduced")
     if signal.shape != (*samples.shape[:-2], samples.shape[-1]) or not samples.shape[-1]:
         raise ValueError(
             f"reduced must have the shape (..., n) of acceleration (..., 3, n), n >= 1; got {signal.shape} for "
             f"{samples.shape}"
         )
-    recording.check_finite(signal, "reduced")
+    check_finite(signal, "reduced")
     if recording.largest(signal) > recording.SAFE_PEAK[1]:
         raise ValueError("reduced is more than 1e60; is it in m/s^2?")
     return Pair(samples, signal, float(rate_hz))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.records import Result
-from feel321.stimuli.recording import AXES, Signal, as_samples
+from feel321.stimuli.recording import AXES, Signal, as_samples, suggest_transpose
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.types import Samples
 
@@ -150,7 +150,9 @@ def _estimate(
 
     samples, rate = as_samples(signal, rate_hz)
     if samples.shape[:-1] not in {(), (AXES,)}:
-        raise ValueError(f"signal must have one axis or three, got the shape {samples.shape}")
+        raise ValueError(
+            f"signal must have one axis or three, got the shape {samples.shape}{suggest_transpose(samples)}"
+        )
     length = min(window_samples(window_s, rate), samples.shape[-1])
     frequencies, times, density = by_scipy(
         np.atleast_2d(samples),

@@ -21,8 +21,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from feel321.doors import Registry, as_rng, check_name
-from feel321.stimuli.recording import Recording, check_rate
+from feel321.doors import Registry, as_rng, check_name, check_rate
+from feel321.stimuli.recording import Recording
 from feel321.types import Rng, Samples
 
 # Modes of a stylus held in the hand: frequency in Hz, decay time in s, direction of the motion at the sensor.

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from feel321 import intake
-from feel321.doors import as_path
+from feel321.doors import as_path, check_finite, check_rate, coerce_real
 from feel321.files import file_named, write_bytes
-from feel321.stimuli.recording import check_finite, check_rate, coerce_real
 from feel321.types import PathLike, Samples
 
 BYTE_ORDERS = {b"RIFF": "<", b"RIFX": ">"}

@@ -103,19 +103,30 @@ def add_texts(texts: dict[str, Any], names: Sequence[str]) -> None:
 
 def _admit(given: str, folder: Path) -> str:
     method = find_method("protocol", given, taken=(*OURS, THRESHOLD, MATCHING), folder=folder)
-    PROTOCOLS.admit(method.name, _guard(method, _check(method, method.load())))
-    return method.name
-
-
-def _check(method: Method, found: object) -> Protocol:
+    found = method.load()
     if not isinstance(found, Protocol):
         raise TypeError(
             f"{method}: must be a feel321.protocols.tasks.Protocol, got {describe(found)}; make one of it"
         )
-    if found.name != method.name:
-        raise ValueError(
-            f"{method}: its Protocol is named {found.name!r}; the two must be the same, rename one"
-        )
+    if fault := next(_find_protocol_faults(found, method.name), ""):
+        raise ValueError(f"{method}: {fault}")
+    own, teach = partial(_compare, method=method), found.teach
+    # The lab's functions are called as all of its code is, and what they return is checked.
+    guarded = replace(
+        found,
+        compare=partial(own, function=found.compare, doing="comparing"),
+        teach=teach and partial(own, function=teach, doing="making its training"),
+        arrange=partial(_arrange, method=method, function=found.arrange),
+        score=partial(_score, method=method, function=found.score),
+        sha256=method.sha256,
+    )
+    PROTOCOLS.admit(method.name, guarded)
+    return method.name
+
+
+def _find_protocol_faults(found: Protocol, name: str) -> Iterator[str]:
+    if found.name != name:
+        yield f"its Protocol is named {found.name!r}; the two must be the same, rename one"
     for what, names, allowed in (
         ("timings", found.timings, TIMINGS),
         ("factors", found.factors, FACTORS),
@@ -123,36 +134,15 @@ def _check(method: Method, found: object) -> Protocol:
     ):
         if not isinstance(names, tuple) or not names or not {*names} <= {*allowed}:
             listed = ", ".join(map(str, allowed))
-            raise ValueError(f"{method}: {what} must be of {listed}; got {describe(names)}")
-    _check_texts(method, found.texts)
-    return found
-
-
-def _check_texts(method: Method, texts: object) -> None:
-    allowed = (*WORDS, *PAGE, "anchors")
-    if not isinstance(texts, Mapping) or not {*texts} <= {*allowed}:
-        raise ValueError(
-            f"{method}: texts must be a mapping of {', '.join(allowed)}; got {describe(texts)}"
-        )
+            yield f"{what} must be of {listed}; got {describe(names)}"
+    texts, keys = found.texts, (*WORDS, *PAGE, "anchors")
+    if not isinstance(texts, Mapping) or not {*texts} <= {*keys}:
+        yield f"texts must be a mapping of {', '.join(keys)}; got {describe(texts)}"
+        return
     for key, text in texts.items():
         for one in text if key == "anchors" and isinstance(text, list | tuple) else [text]:
             if not isinstance(one, str) or not one.strip() or "{" in one or "}" in one:
-                raise ValueError(
-                    f"{method}: texts[{key!r}] must be words without braces, got {describe(one)}"
-                )
-
-
-def _guard(method: Method, protocol: Protocol) -> Protocol:
-    """Let the lab's functions be called as all of its code is, and check what they return."""
-    own, teach = partial(_compare, method=method), protocol.teach
-    return replace(
-        protocol,
-        compare=partial(own, function=protocol.compare, doing="comparing"),
-        teach=teach and partial(own, function=teach, doing="making its training"),
-        arrange=partial(_arrange, method=method, function=protocol.arrange),
-        score=partial(_score, method=method, function=protocol.score),
-        sha256=method.sha256,
-    )
+                yield f"texts[{key!r}] must be words without braces, got {describe(one)}"
 
 
 def _compare(

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.delivered import DeliveryCheck
     from feel321.study.actuator.output import Output
-    from feel321.study.screen.view import Hand
+    from feel321.study.screen.input import Hand
     from feel321.study.session.journal import Journal
     from feel321.study.session.plan import Plan
     from feel321.study.session.ports import Place, Presenter
@@ -170,8 +170,8 @@ def open_lab(
     plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, room: Room
 ) -> Iterator[Presenter]:
     """Open the actuators and the screen, and close both whatever happens."""
+    from feel321.study.screen.input import make_screen_texts
     from feel321.study.screen.presenter import ScreenPresenter
-    from feel321.study.screen.view import make_screen_texts
     from feel321.study.screen.window import open_screen
 
     settings, keys, folder = room.settings, _get_rig(room).keys, room.study.path

@@ -304,8 +304,8 @@ def _is_number(text: str) -> bool:
 
 def _check_texts(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that pictures are there, and that all texts fit on the screen."""
+    from feel321.study.screen.input import make_screen_texts
     from feel321.study.screen.layout import find_overflows
-    from feel321.study.screen.view import make_screen_texts
 
     for entry in settings.recordings:
         if entry.picture and not (study.path / entry.picture).is_file():

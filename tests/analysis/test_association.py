@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from feel321.analysis.association.correlate import compare_metrics, correlate, make_panel
+from feel321.analysis.association.correlate import compare_metrics, correlate
 from feel321.analysis.resampling import METHODS, correlate_draws, draw_counts
 from feel321.analysis.table.items import make_items
 
@@ -70,19 +70,6 @@ def test_within_is_the_average_over_recordings(
     assert found.low < found.value < found.high
 
 
-def test_what_lifts_whole_recordings_is_not_within() -> None:
-    table = simulate(rng(3), people=8, scenes=6)
-    plain = correlate(table, "metric", method="within", draws=100, rng=rng())
-    lifted = table.assign(
-        rating=table["rating"] + 40 * table["recording"],
-        metric=table["metric"] + table["recording"],
-    )
-    shifted = correlate(lifted, "metric", method="within", draws=100, rng=rng())
-    for name in ("value", "low", "high", "ceiling", "disattenuated"):
-        assert getattr(shifted, name) == pytest.approx(getattr(plain, name))
-    assert correlate(lifted, "metric", draws=100, rng=rng()).value > plain.value + 0.3
-
-
 def test_ceiling_within_recovers_a_perfect_metric() -> None:
     generator = rng(6)
     table = simulate(generator, people=10, scenes=40, reducers=30)
@@ -91,43 +78,6 @@ def test_ceiling_within_recovers_a_perfect_metric() -> None:
     found = correlate(table, "metric", method="within", draws=50, rng=generator)
     assert found.value < 0.9
     assert found.disattenuated == pytest.approx(1, abs=0.06)
-
-
-@pytest.mark.parametrize(
-    ("change", "note"),
-    [
-        (
-            lambda table: table.assign(spectral_match=0.3),
-            "No correlation within any of 4 recordings, where it takes",
-        ),
-        (
-            lambda table: table[
-                (table["recording"] != "rec0") | table["reducer"].isin(["dft321", "sax321"])
-            ],
-            "1 of 4 recordings are left out where it takes three rated stimuli that differ",
-        ),
-        (
-            lambda table: table[(table["recording"] == "rec0") | (table["reducer"] == "dft321")],
-            "One recording only has a correlation within: no two-way interval.",
-        ),
-        (
-            lambda table: table.assign(
-                rating=table["rating"].where(table["recording"] != "rec0", table["spectral_match"])
-            ),
-            "In 1 of 4 recordings the correlation with 'spectral_match' is perfect: Fisher's z is held.",
-        ),
-        (
-            lambda table: table.assign(rating=table["spectral_match"]),
-            "No interval: the correlation with",
-        ),
-    ],
-)
-def test_within_says_what_it_rests_on(
-    tidy: Callable[..., pd.DataFrame], change: Callable[[pd.DataFrame], pd.DataFrame], note: str
-) -> None:
-    tests = tidy()[lambda table: table["role"] == "test"]
-    found = correlate(change(tests), SPECTRAL, method="within", draws=50, rng=rng())
-    assert any(line.startswith(note) for line in found.notes)
 
 
 def test_intervals_within_allow_for_the_lean_of_few_stimuli(
@@ -175,12 +125,6 @@ def test_two_way_intervals_cover_what_is_planted(method: str) -> None:
     ]
     covered = sum(result.low <= 0 <= result.high for result in found)
     assert 0.92 <= covered / studies <= 0.985
-
-
-def test_two_way_interval_is_wider_on_clustered_data(tidy: Callable[..., pd.DataFrame]) -> None:
-    found = correlate(tidy(recording_sd=12, participants=20), SPECTRAL, rng=rng())
-    assert found.low < found.participants_low < found.value < found.participants_high < found.high
-    assert found.high - found.low > 2 * (found.participants_high - found.participants_low)
 
 
 def simulate(
@@ -252,27 +196,6 @@ def test_intervals_are_rebuilt_from_the_draws(
         )
 
 
-def test_a_small_study_whose_draws_are_undefined_has_no_interval(
-    tidy: Callable[..., pd.DataFrame],
-) -> None:
-    table = tidy(recordings=4)
-    found = correlate(table[table["reducer"] == "dft321"], SPECTRAL, draws=400, rng=rng())
-    assert math.isfinite(found.value)
-    assert math.isnan(found.low)
-    assert found.draws < 360
-    left_out = f"{400 - found.draws} of 400 two-way draws gave no correlation"
-    assert any(
-        note.startswith(left_out) and note.endswith("too many for an interval.")
-        for note in found.notes
-    )
-
-
-def test_a_huge_metric_is_not_taken_for_constant_ratings(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy()
-    table.loc[table["stimulus_id"] == "rec1_say321_as_is", SPECTRAL] = -1e200
-    assert math.isfinite(correlate(table, SPECTRAL, draws=50, rng=rng()).value)
-
-
 def test_reference_and_anchors_do_not_count(tidy: Callable[..., pd.DataFrame]) -> None:
     table = tidy()
     tests = table[table["role"] == "test"]
@@ -290,34 +213,6 @@ def test_ceiling_and_disattenuation_recover_a_perfect_metric() -> None:
     assert found.value < 0.9
     assert found.disattenuated == pytest.approx(1, abs=0.08)
     assert found.ceiling == pytest.approx(found.value / found.disattenuated)
-
-
-def test_missing_cells_are_allowed_and_reported(tidy: Callable[..., pd.DataFrame]) -> None:
-    table = tidy()
-    gone = (table["participant"] == "p00") & (table["recording"] == "rec0")
-    found = correlate(table[~gone], SPECTRAL, draws=50, rng=rng())
-    assert found.n_missing == 9
-    assert found.notes[0] == "9 of 216 participant x stimulus cells hold no rating."
-    assert (
-        "27 stimuli that every participant rated, r on all 36; r / ceiling is left out."
-        in found.notes[1]
-    )
-    assert math.isfinite(found.ceiling)
-    assert math.isnan(found.disattenuated)
-    assert math.isfinite(found.low)
-
-
-def test_metrics_that_say_the_same_get_the_same_intervals(
-    tidy: Callable[..., pd.DataFrame],
-) -> None:
-    rows = tidy().query("role == 'test'").assign(again=lambda own: 2 * own[SPECTRAL] + 1)
-    panel = make_panel(rows, (SPECTRAL, "again", TEMPORAL), draws=40, rng=rng())
-    ends = {(one.metric, one.method): (one.low, one.high) for one in panel.associations}
-    for method in METHODS:
-        assert ends[SPECTRAL, method] == pytest.approx(ends["again", method], nan_ok=True)
-    differ = {(one.first, one.second, one.method): one for one in panel.differences}
-    alone = make_panel(rows, (SPECTRAL, TEMPORAL), draws=40, rng=rng())
-    assert alone.differences == tuple(differ[SPECTRAL, TEMPORAL, method] for method in METHODS)
 
 
 @pytest.mark.parametrize(
@@ -340,25 +235,6 @@ def test_one_of_a_kind_is_a_stated_reduced_analysis(
     assert math.isnan(compared.low)
 
 
-@pytest.mark.parametrize(
-    ("column", "note"),
-    [
-        ("rating", "No correlation: the mean rating is the same for every stimulus."),
-        (SPECTRAL, "No correlation: 'spectral_match' is the same for every stimulus."),
-    ],
-)
-def test_constants_have_no_correlation(
-    tidy: Callable[..., pd.DataFrame], column: str, note: str
-) -> None:
-    table = tidy().assign(**{column: 0.1})
-    found = correlate(table, SPECTRAL, draws=20, rng=rng())
-    assert math.isnan(found.value)
-    assert math.isnan(found.low)
-    assert note in found.notes
-    assert found.draws == 0
-    assert note in compare_metrics(table, TEMPORAL, SPECTRAL, draws=20, rng=rng()).notes
-
-
 def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> None:
     table = tidy()
     one, two = (correlate(table, name, draws=20, rng=rng()).value for name in (SPECTRAL, TEMPORAL))
@@ -373,22 +249,3 @@ def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> 
         -found.high,
         -found.low,
     ))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"method": "kendal"},
-            "method must be one of pearson, spearman, kendall, within, within_spearman,",
-        ),
-        ({"draws": 1}, "draws must be 2 or more, got"),
-        ({"metric": "loudness"}, "column loudness is missing; got participant, .*"),
-    ],
-)
-def test_requests_not_met(
-    tidy: Callable[..., pd.DataFrame], change: dict[str, object], message: str
-) -> None:
-    request = {"metric": SPECTRAL, "draws": 5, **change}
-    with pytest.raises(ValueError, match=message):
-        correlate(tidy(), rng=rng(), **request)

@@ -57,13 +57,6 @@ def test_share_and_intervals_by_their_definitions() -> None:
     )
 
 
-def test_all_correct_has_a_lower_end_only() -> None:
-    result = discriminate(12, 12)
-    assert result.d_independent == result.d_independent_high == math.inf
-    assert 1 < result.d_independent_low < 5
-    assert "only its lower end" in result.notes[0]
-
-
 @pytest.mark.parametrize("truth", [0.5, 0.6, 0.8])
 def test_the_intervals_cover(truth: float) -> None:
     weights = binom.pmf(np.arange(41), 40, truth)
@@ -81,41 +74,3 @@ def test_pairs_in_either_order_are_one() -> None:
         ("a", "c"): (2, 2),
         None: (3, 4),
     }
-
-
-@pytest.mark.parametrize(
-    "counts", [(-1, 4), (5, 4), (0, 0), (1.5, 4), (math.nan, 4), (1, math.inf)]
-)
-def test_impossible_counts_are_refused(counts: tuple[int, int]) -> None:
-    with pytest.raises(
-        ValueError, match="n_correct must be 0 to n_trials, of 1 or more trials, got"
-    ):
-        discriminate(*counts)
-
-
-@pytest.mark.parametrize(
-    ("trials", "message"),
-    [
-        ({"first": ["a"], "second": ["b"]}, "trials: column correct is missing"),
-        ({"first": [], "second": [], "correct": []}, "trials must be one row or more"),
-        (
-            {"first": ["a"], "second": [None], "correct": [1]},
-            "trials must be one row or more that name first and second",
-        ),
-        (
-            {"first": ["a"], "second": ["a"], "correct": [1]},
-            "trials must be of two stimuli, got 'a' against itself",
-        ),
-        (
-            {"first": ["a"], "second": ["b"], "correct": [2]},
-            "trials must hold true or false in column 'correct', got np.int64.2.",
-        ),
-        (
-            {"first": ["a"], "second": ["b"], "correct": [None]},
-            "trials must hold true or false in column 'correct', got None",
-        ),
-    ],
-)
-def test_bad_trials_are_refused_in_words(trials: dict[str, list[object]], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        discriminate_pairs(pd.DataFrame(trials))

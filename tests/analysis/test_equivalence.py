@@ -66,23 +66,3 @@ def test_non_inferiority_is_one_half_of_equivalence() -> None:
     assert (upper.t, upper.p, upper.bound) == pytest.approx((both.t_high, both.p_high, both.high90))
     assert non_inferiority(50.0, 0.7, 12, margin=-3).non_inferior
     assert not non_inferiority(50.0, 0.7, 12, margin=3).non_inferior
-
-
-@pytest.mark.parametrize(
-    ("arguments", "margin", "message"),
-    [
-        ((math.nan, 1, 5), (-1, 1), "estimate must be a finite number, got nan"),
-        ((0, 0, 5), (-1, 1), "se must be finite and above 0, got 0"),
-        ((0, math.inf, 5), (-1, 1), "se must be finite and above 0, got inf"),
-        ((0, 1, 0), (-1, 1), "df must be above 0, infinity for a normal estimate, got 0"),
-        ((0, 1, math.nan), (-1, 1), "df must be above 0, infinity for a normal estimate, got nan"),
-        ((0, 1, 5), (1, -1), "low must be below high, got 1 with high -1"),
-        ((0, 1, 5), (-math.inf, 1), "low must be a finite number, got -inf"),
-        ((0, 1, 5), (-1, math.nan), "high must be a finite number, got nan"),
-    ],
-)
-def test_bad_input_is_refused_in_words(
-    arguments: tuple[float, float, float], margin: tuple[float, float], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        equivalence(*arguments, low=margin[0], high=margin[1])

@@ -143,19 +143,6 @@ def test_r_runs_the_script(folder: Path) -> None:
     np.testing.assert_allclose(by_r["se"], own["se"], rtol=1e-3)
 
 
-def test_without_a_model_the_files_are_whole_and_the_script_says_why(
-    table: analysis.Table, folder: Path, tmp_path: Path
-) -> None:
-    rows = table.rows[table.rows["reducer"] == "my321_0"]
-    place = export.export_r(analysis.Table(rows, table.metrics, ()), tmp_path / "new")
-    slopes = pd.read_csv(place / "slopes.csv")
-    assert (len(slopes), list(slopes)) == (0, list(pd.read_csv(folder / "slopes.csv")))
-    script = (place / "model.R").read_text(encoding="utf-8")
-    assert script.count("no model. ") == 2
-    assert all(line.startswith('cat("') for line in script.splitlines() if "no model. " in line)
-    assert "if (length(found)) write.csv(" in script
-
-
 def test_only_an_earlier_export_is_replaced(table: analysis.Table, tmp_path: Path) -> None:
     rows = table.rows[table.rows["reducer"] == "my321_0"]
     some = analysis.Table(rows, table.metrics, ())

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-import pytest
 
-from feel321.analysis.replication.claims import Paper, PaperClaim, answer_claims, narrow
+from feel321.analysis.replication.claims import Paper, PaperClaim, answer_claims
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
 
@@ -75,26 +74,3 @@ def test_an_attribute_of_the_axes_is_told_from_one_that_is_not_and_from_too_few(
     }
     assert "permutations of 6 stimuli give no p below 0.17" in found["directions"].sentence
     assert "attribute must be one of" in ask(table, "map_attribute", attribute="colour").sentence
-
-
-def test_a_claim_takes_similarities_to_the_original_unless_it_names_dissimilarities() -> None:
-    table = plant()
-    plain = PaperClaim("one", "a claim", "abstract", "slope", options={"metric": "temporal_match"})
-    rows = narrow(table, plain).rows
-    assert set(rows["scale"]) == {"similarity_to_original"}
-    pairs = table.rows[table.rows["role"] == "test"]
-    assert sorted(rows["rating"]) == pytest.approx(sorted(100 - pairs["rating"]))
-    named = PaperClaim("one", "a claim", "abstract", "slope", options={"scale": "dissimilarity"})
-    assert len(narrow(table, named).rows) == len(table.rows)
-
-
-def test_labels_of_recordings_come_from_the_manifest_too() -> None:
-    columns = ["participant", "stimulus_id", "scale", "rating"]
-    ratings = pd.DataFrame([("a", "x", "realism", 5)], columns=columns)
-    manifest = pd.DataFrame({
-        "stimulus_id": ["x"], "recording": ["tap"], "reducer": ["mag321"], "temporal_match": [0.2],
-        "interaction": ["tap"], "sample": ["oak"],
-    })  # fmt: skip
-    table = read_table(ratings, manifest)
-    assert table.rows[["interaction", "sample"]].to_numpy().tolist() == [["tap", "oak"]]
-    assert not [note for note in table.notes if "not used" in note]

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.model import contrast, find_uncertainty, fit_mixed
+from feel321.analysis.mixed.model import find_uncertainty, fit_mixed
 from feel321.analysis.mixed.optimum import Profile, find_optimum, find_sigma
 
 if TYPE_CHECKING:
@@ -241,18 +241,6 @@ def test_balanced_one_way_has_the_textbook_answer() -> None:
     assert fit.effects["value"].to_numpy() == pytest.approx(shrunk.to_numpy(), rel=1e-4)
 
 
-def test_contrast_is_the_refitted_difference(fit: MixedFit) -> None:
-    data = make_study(1)
-    turned = fit_mixed(FULL.replace("y ~ a + b", "y ~ I(a - b) + I(a + b)"), data)
-    # With p = a - b and q = a + b, the slopes of a and b differ by twice that of p.
-    difference = contrast(fit, {"a": 1, "b": -1})
-    expected = contrast(turned, {"I(a - b)": 2})
-    assert difference.estimate == pytest.approx(expected.estimate, rel=1e-6)
-    assert difference.se == pytest.approx(expected.se, rel=1e-5)
-    assert difference.df == pytest.approx(expected.df, rel=1e-4)
-    assert difference.p == pytest.approx(expected.p, rel=1e-4)
-
-
 def test_fit_hangs_together(fit: MixedFit) -> None:
     data = make_study(1)
     assert fit.fitted + fit.residuals == pytest.approx(data["y"].to_numpy())
@@ -330,33 +318,6 @@ def test_data_refused(change: dict[str, Any], message: str) -> None:
     assert message in str(caught.value)
 
 
-def test_perfectly_tied_effects_are_singular_in_words() -> None:
-    rng = np.random.default_rng(3)
-    data = make_study(1)
-    shift = np.array([-2.0, -1, 0, 1, 2, 3])[data["who"]]
-    fit = fit_mixed(
-        "y ~ a + (a | who)", data.assign(y=0.5 * shift * (1 + data["a"]) + rng.normal(size=120))
-    )
-    assert fit.singular
-    assert "perfectly correlated" in fit.notes[0]
-    assert fit.correlations.loc[0, "correlation"] == pytest.approx(1)
-
-
-def test_explained_variance_by_its_definition() -> None:
-    rng = np.random.default_rng(4)
-    who, x = np.repeat(np.arange(9), 4), rng.normal(size=36)
-    y = 3 + x + rng.normal(size=9)[who] + rng.normal(size=9)[who] * x + rng.normal(size=36)
-    fit = fit_mixed("y ~ x + (1 + x || who)", pd.DataFrame({"who": who, "x": x, "y": y}))
-    level, slope = fit.variances["sd"] ** 2
-    parts = (
-        np.var(fit.fixed["estimate"]["x"] * x, ddof=1),
-        level + slope * np.mean(x**2),
-        fit.residual_sd**2,
-    )
-    assert fit.marginal_r2 == pytest.approx(parts[0] / sum(parts))
-    assert fit.conditional_r2 == pytest.approx((parts[0] + parts[1]) / sum(parts))
-
-
 @pytest.mark.parametrize("penalty", [(), ("kind",)])
 def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says(
     penalty: tuple[str, ...],
@@ -421,31 +382,6 @@ def test_scales_from_a_millionth_to_a_million_change_nothing() -> None:
             got, wanted = scaled.fixed[column].tolist(), plain.fixed[column].tolist()
             assert got == pytest.approx(wanted, rel=2e-3)
         assert scaled.singular is plain.singular
-
-
-@pytest.mark.parametrize("ratio", [10, 1e3, 1e4])
-def test_large_spreads_keep_their_degrees_of_freedom(ratio: float) -> None:
-    rng = np.random.default_rng(3)
-    level, who = rng.normal(size=10), np.repeat(range(10), 5)
-    data = pd.DataFrame({"who": who, "x": np.tile(np.arange(5.0), 10)})
-    data["y"] = ratio * level[data["who"]] + data["x"] + rng.normal(0, 1, 50)
-    df = fit_mixed("y ~ x + (1 | who)", data).fixed["df"]
-    # Balanced: people less one, and rows less people and the slope.
-    assert df.tolist() == pytest.approx([9, 39], rel=0.01)
-
-
-def test_names_are_those_of_r_whatever_pandas_keeps_the_columns_in() -> None:
-    data = make_study(4)
-    data["flag"], data["number"] = data["kind"] > 1, data["a"].astype(object)
-    data["word"] = ("w" + (data["kind"] % 2).astype(str)).astype("string")
-    formula = "y ~ flag + word + number + as.factor(scene) + factor(scene):b + (flag | (who))"
-    fit = fit_mixed(formula, data)
-    scenes = [f"as.factor(scene){scene}" for scene in range(1, 5)]
-    terms = ["(Intercept)", "flagTRUE", "wordw1", *scenes, "number"]
-    slopes = [f"factor(scene){scene}:b" for scene in range(5)]
-    assert sorted(fit.fixed.index) == sorted([*terms, *slopes])
-    assert fit.variances["term"].tolist() == ["(Intercept)", "flagTRUE"]
-    assert fit.n_levels == {"who": 6}
 
 
 def test_double_bar_slash_and_backticks_are_short_for_what_they_say() -> None:

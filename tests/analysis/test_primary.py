@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import t as student
 
 from feel321.analysis.mixed.model import fit_mixed
 from feel321.analysis.primary.model import fit_attributes, fit_primary, fit_slopes, tabulate_slopes
@@ -95,23 +94,6 @@ def test_planted_slope_is_found_and_none_where_none_is(primary: Primary) -> None
     assert primary.item_variance_explained > 0.5
 
 
-def test_slopes_in_every_unit_say_the_same(rows: pd.DataFrame, primary: Primary) -> None:
-    sm = primary.slopes.loc["sm"]
-    assert sm[["tenth", "tenth_low", "tenth_high"]].tolist() == pytest.approx(
-        (sm[["estimate", "low", "high"]] / 10).tolist()
-    )
-    cells = make_cells(rows, METRICS).table
-    z = cells.assign(
-        rating=cells["rating"] / cells["rating"].std(), sm_w=cells["sm_w"] / cells["sm_w"].std()
-    )
-    standard = fit_mixed(FULL + REDUCERS, z, penalty=["reducer"]).fixed.loc["sm_w"]
-    margin = standard["se"] * student.ppf(0.975, sm["df"])
-    wanted = standard["estimate"] + np.array([0.0, -margin, margin])
-    assert sm[["standardised", "standardised_low", "standardised_high"]].tolist() == pytest.approx(
-        wanted, rel=1e-4
-    )
-
-
 @pytest.mark.parametrize(("reducers", "held"), [(2, ()), (7, ("reducer",)), (8, ())])
 def test_few_reducers_are_kept_from_zero(reducers: int, held: tuple[str, ...]) -> None:
     who, recording, reducer = (axis.ravel() for axis in np.indices((3, 4, reducers)))
@@ -158,43 +140,6 @@ def test_small_studies_are_reduced_in_words(
     primary = fit_primary(rows.query(query), METRICS)
     assert gone not in primary.formula
     assert reason in " ".join(primary.reductions)
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ({"tm": 0.5}, "No slope of tm: it is the same for all stimuli of a recording."),
-        (
-            {"tm": lambda rows: rows["recording"] * 0.1},
-            "No slope of tm: it is the same for all stimuli of a recording.",
-        ),
-        ({"tm": lambda rows: 2 * rows["sm"] + 1}, "No term tm_w: it is a sum of sm_w."),
-    ],
-)
-def test_metrics_that_tell_nothing_are_left_out_in_words(
-    rows: pd.DataFrame, change: dict[str, Any], reason: str
-) -> None:
-    primary = fit_primary(rows.assign(**change), METRICS)
-    assert primary.slopes.index.tolist() == ["sm"]
-    assert reason in primary.reductions
-
-
-def test_references_and_anchors_inflate_no_slope(
-    rows: pd.DataFrame, primary: Primary, varied: pd.DataFrame
-) -> None:
-    best = rows[rows["reducer"] == 0].assign(
-        item=lambda own: -1 - own["recording"], sm=1.0, tm=1.0, rating=100.0
-    )
-    both = pd.concat([rows.assign(role="test"), best.assign(role="reference")])
-    told = f"{len(best)} ratings of other stimuli than test stimuli (hidden references, anchors) are left out."
-    found = fit_primary(both, METRICS)
-    pd.testing.assert_frame_equal(found.slopes, primary.slopes)
-    assert found.notes == (told, *primary.notes)
-    again = vary_primary(both, METRICS)
-    pd.testing.assert_frame_equal(again.drop(columns="reason"), varied.drop(columns="reason"))
-    assert again["reason"].str.startswith(told).all()
-    with pytest.raises(ValueError, match="got no row with role 'test'"):
-        fit_primary(best.assign(role="reference"), METRICS)
 
 
 def test_shapes_refused(rows: pd.DataFrame) -> None:
@@ -297,19 +242,6 @@ def test_centred_slope_is_that_of_a_model_with_reducers_as_fixed_effects(
         assert primary.slopes[ours][known].tolist() == pytest.approx(
             theirs[known].tolist(), rel=1e-4
         )
-
-
-def test_tables_that_cannot_carry_reducers_say_so(rows: pd.DataFrame) -> None:
-    own = rows.assign(reducer=rows["item"])
-    for part, why in (
-        (rows.drop(columns="reducer"), "no column 'reducer'"),
-        (rows.query("recording == 0"), "one recording only"),
-        (own, "no reducer was used on several recordings"),
-    ):
-        model = fit_primary(part, METRICS)
-        assert "reducer" not in model.formula
-        assert any(f"No spread between reducers: {why}" in reason for reason in model.reductions)
-        assert model.slopes["centred"].isna().all()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -40,40 +39,3 @@ def test_interval_is_the_t_interval_of_participant_means(tidy: Callable[..., pd.
     values = means.loc[means["reducer"] == "pca321", "rating"]
     low, high = stats.t.interval(0.95, 8, values.mean(), stats.sem(values))
     assert (row["low"], row["high"]) == pytest.approx((low, high))
-
-
-def test_references_and_anchors_keep_their_place(tidy: Callable[..., pd.DataFrame]) -> None:
-    profile = profile_reducers(tidy())
-    assert set(profile["role"]) == {"test", "reference", "anchor"}
-    assert len(profile) == 12
-
-
-def test_one_participant_has_no_interval(tidy: Callable[..., pd.DataFrame]) -> None:
-    profile = profile_reducers(tidy(participants=1))
-    assert profile["mean"].notna().all()
-    assert all(math.isnan(value) for value in profile["low"])
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda table: table.drop(columns="scale"), "ratings: column scale is missing"),
-        (
-            lambda table: table.assign(rating=table["rating"].where(table.index > 1)),
-            "ratings must have scale, level, role, reducer, participant, stimulus_id and a",
-        ),
-        (
-            lambda table: table.assign(reducer=table["reducer"].where(table.index > 0)),
-            "ratings must have scale, level, role, reducer, participant, stimulus_id and a",
-        ),
-        (
-            lambda table: table.assign(rating="good"),
-            "ratings, 'rating' must hold numbers: could not convert string to float: 'good'",
-        ),
-    ],
-)
-def test_nothing_drops_out_of_a_mean_unseen(
-    tidy: Callable[..., pd.DataFrame], change: Callable[[pd.DataFrame], pd.DataFrame], message: str
-) -> None:
-    with pytest.raises(ValueError, match=message):
-        profile_reducers(change(tidy()))

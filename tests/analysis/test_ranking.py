@@ -9,12 +9,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.association.rivals import _score, find_influences, rank_metrics
-from feel321.analysis.page import render_words
-from feel321.analysis.report import primary
-from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import make_items
-from feel321.analysis.table.metrics import list_rivals
-from feel321.analysis.table.reading import Further, read_table
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -186,38 +181,3 @@ def test_what_cannot_be_ranked_is_refused(
 
 
 # In the report.
-
-
-def add_columns(study: object, **columns: np.ndarray) -> None:
-    frame = pd.read_csv(study.manifest)
-    tests = frame["role"] == "test"
-    for name, values in columns.items():
-        frame[name] = np.nan
-        frame.loc[tests, name] = values[: int(tests.sum())]
-    frame.to_csv(study.manifest, index=False)
-
-
-def rank(study: object, **more: object) -> object:
-    further = Further(pd.DataFrame(), rivals=tuple(list_rivals(study.manifest)))
-    table = read_table(study.ratings, study.manifest, further=further, **more)
-    return primary.compute_rivals(table, Choices(draws=100))
-
-
-def say(study: object, **more: object) -> tuple[str, ...]:
-    return render_words("rivals", **rank(study, **more).facts)
-
-
-def test_the_first_sentence_is_true_of_nothing_and_of_something(
-    files: Callable[..., object],
-) -> None:
-    rng = np.random.default_rng(7)
-    nothing = files(scales=("realism",), participants=8, recordings=6, spectral=0.0)
-    add_columns(nothing, level_difference=rng.normal(size=99), rough=rng.normal(size=99))
-    start = "Realism, best metric: None of the 3 other metrics is shown to predict realism ratings better than level"
-    assert say(nothing)[0].startswith(start)
-    something = files(scales=("realism",), participants=8, recordings=6, spectral=60.0, noise=4.0)
-    add_columns(something, level_difference=rng.normal(size=99), rough=rng.normal(size=99))
-    info = {"spectral_match": MetricInfo("spectral quality")}
-    told = say(something, info=info)[0]
-    start = "Realism, best metric: Of 4 metrics, spectral match predicts realism ratings better than every other"
-    assert told.startswith(start)

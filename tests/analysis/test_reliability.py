@@ -3,22 +3,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
-
-
-@settings(deadline=None)  # the first call imports scipy.stats
-@given(seed=st.integers(0, 10_000), gain=st.floats(0.1, 50), shift=st.floats(-100, 100))
-def test_consistency_ignores_unit_and_rater_levels(seed: int, gain: float, shift: float) -> None:
-    rng = np.random.default_rng(seed)
-    table = rng.normal(size=(7, 4)) + rng.normal(size=(7, 1))
-    moved = gain * table + shift * np.arange(4)
-    assert intraclass(moved).icc_c_k == pytest.approx(intraclass(table).icc_c_k, abs=1e-8)
-
+from feel321.analysis.agreement import intraclass, noise_ceiling
 
 BOOK = (
     [63, 67, 76, 63], [46, 51, 53, 62], [69, 64, 73, 52], [42, 36, 49, 21], [59, 43, 49, 52],
@@ -107,17 +94,6 @@ def test_a_negative_variance_of_means_is_no_reliability_of_two() -> None:
     icc = intraclass([[1, 2], [2, 1]])
     assert math.isnan(icc.icc_a_k)
     assert (icc.icc_1_1, icc.icc_c_1) == (-1, -1)
-
-
-def test_a_table_of_pandas_is_read_and_names_are_refused() -> None:
-    table = pd.DataFrame({"one": [9, 6, 8], "two": [2, 1, 4]})
-    assert intraclass(table.astype("Int64")) == intraclass(table.to_numpy())
-    gap = krippendorff_alpha([[9, 2], [6, math.nan], [8, 4]])
-    assert krippendorff_alpha(table.astype("Int64").mask(table == 1)) == gap
-    with pytest.raises(
-        ValueError, match="table must hold numbers: could not convert string to float: 'S1'"
-    ):
-        intraclass(table.assign(target=["S1", "S2", "S3"])[["target", "one", "two"]])
 
 
 def planted(n: int, k: int, rng: np.random.Generator) -> np.ndarray:

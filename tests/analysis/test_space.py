@@ -4,13 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
 
-from feel321.analysis.space import (
-    align_spaces,
-    bootstrap_space,
-    fit_space,
-    refit_space,
-    stress_by_dimension,
-)
+from feel321.analysis.space import align_spaces, bootstrap_space, fit_space, refit_space
 
 
 def apart(place: np.ndarray) -> np.ndarray:
@@ -55,15 +49,6 @@ def test_stress_of_an_ordinal_map_is_kruskals() -> None:
     best = isotonic_regression(distances[order]).x
     by_hand = np.sqrt(((best - distances[order]) ** 2).sum() / (distances**2).sum())
     assert space.stress == pytest.approx(by_hand, abs=1e-12)
-
-
-def test_stress_falls_to_the_planted_number_of_dimensions() -> None:
-    place, _ = make_people(stimuli=10)
-    stress = stress_by_dimension(apart(place), most=4, rng=np.random.default_rng(0))
-    assert len(stress) == 4
-    assert stress[0] > 0.05
-    assert max(stress[1:]) < 0.01
-    assert len(stress_by_dimension(apart(place[:4]), rng=np.random.default_rng(0))) == 3
 
 
 def test_a_group_map_recovers_the_planted_one() -> None:
@@ -155,33 +140,3 @@ GOOD = apart(np.random.default_rng(0).normal(size=(4, 2)))
 def test_bad_dissimilarities_are_refused(change: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         fit_space(change(GOOD), rng=np.random.default_rng(0))
-
-
-def test_impossible_requests_are_refused() -> None:
-    rng, place = np.random.default_rng(0), np.arange(8.0).reshape(4, 2)
-    with pytest.raises(ValueError, match="dimensions must be 1 to 3 for 4 stimuli, got 4"):
-        fit_space(GOOD, dimensions=4, rng=rng)
-    with pytest.raises(ValueError, match="most must be 1 or more, got 0"):
-        stress_by_dimension(GOOD, most=0, rng=rng)
-    with pytest.raises(ValueError, match="permutations must be 1 or more, got 0"):
-        align_spaces(place, place, permutations=0, rng=rng)
-    with pytest.raises(
-        ValueError, match="reference must be of the same 4 stimuli as positions, got 3"
-    ):
-        align_spaces(place, place[:3], rng=rng)
-    with pytest.raises(
-        ValueError, match=r"positions must be of 3 stimuli or more, got shape .2, 2."
-    ):
-        align_spaces(place[:2], place, rng=rng)
-    with pytest.raises(
-        ValueError, match="positions must be finite, got 1 missing or infinite values"
-    ):
-        align_spaces(np.where(place == 0, np.nan, place), place, rng=rng)
-    with pytest.raises(
-        ValueError, match="reference must have a shape, got all stimuli in one place"
-    ):
-        align_spaces(place, np.full((4, 2), 33.3), rng=rng)
-    with pytest.raises(ValueError, match="dissimilarities must be of two participants or more"):
-        bootstrap_space(GOOD, rng=rng)
-    with pytest.raises(ValueError, match="draws must be 3 or more, got 2"):
-        bootstrap_space(np.stack([GOOD, GOOD]), draws=2, rng=rng)

@@ -6,11 +6,6 @@ import os
 import subprocess
 import sys
 
-import pytest
-from threadpoolctl import threadpool_info
-
-from feel321.analysis.mixed.optimum import LARGE, hold_threads
-
 COUNT = """
 import scipy.linalg
 from threading import Event, Thread
@@ -62,29 +57,7 @@ def run_apart(code: str) -> list[str]:
     return done.stdout.strip().split(";")
 
 
-def test_who_overlaps_with_whom_leaves_no_trace() -> None:
-    # First in, first out: the second, on its own, would restore the one thread that the first had set.
-    before, during, after = run_apart(OVERLAP)
-    assert after == before
-    if "2" in before:
-        assert during != before
-
-
 def test_fits_in_a_pool_agree_and_leave_the_threads_as_they_were() -> None:
     before, after, different = run_apart(POOL)
     assert after == before
     assert different == "1"
-
-
-def test_large_matrices_keep_their_threads_and_an_error_frees_the_limit() -> None:
-    def count() -> list[int]:
-        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
-
-    before = count()
-    with hold_threads(LARGE):
-        assert count() == before
-    with pytest.raises(KeyError), hold_threads(LARGE - 1):
-        raise KeyError
-    assert count() == before
-    with hold_threads(LARGE - 1):
-        assert set(count()) <= {1}

@@ -98,21 +98,6 @@ def test_tasks_are_introduced_rehearsed_and_have_one_rest_between_or_half_way(
     assert keys <= read_texts()["pages"].keys()
 
 
-def test_a_trial_of_another_round_has_all_its_attempts_again() -> None:
-    training = [make_trial(n, phase="training") for n in (2, 3)]
-    agenda = Agenda([make_trial(1), *training], replace(CALM, max_attempts=3, training_rounds=2))
-    attempts: list[tuple[int, int]] = []
-
-    def answer(trial: Trial, attempt: int) -> Answer:
-        if trial.phase == "main":
-            return True, None
-        attempts.append((trial.number, attempt))
-        return trial.number == 3 or attempt == 3, False
-
-    walk(agenda, answer)
-    assert attempts == [(2, 1), (3, 1), (2, 2), (2, 3)] * 2
-
-
 @pytest.mark.parametrize(
     ("understood", "told"),
     [
@@ -128,17 +113,6 @@ def test_training_tells_right_from_wrong_and_ends_after_its_last_round(
     agenda = Agenda(trials, replace(CALM, training_rounds=2))
     steps = walk(agenda, lambda t, _: (True, understood if t.phase == "training" else None))
     assert steps[3:] == ["training", 2, *told, "main", 1, "end"]
-
-
-def test_training_is_repeated_until_it_is_passed() -> None:
-    trials = [make_trial(1), *(make_trial(n, phase="training") for n in (2, 3, 4, 5))]
-    answers = iter([True, False, False, True, True, True, True, False])
-    steps = walk(
-        Agenda(trials, CALM), lambda t, _: (True, next(answers) if t.phase == "training" else None)
-    )
-    told = [step for step in steps if step not in {"expected", "unexpected"}]
-    training = [2, 3, 4, 5]
-    assert told[4:] == [*training, "training_again", *training, "training_passed", "main", 1, "end"]
 
 
 @pytest.mark.parametrize(
@@ -183,16 +157,6 @@ def test_breaks_come_by_count_or_by_minutes_and_never_beside_another_page(
 ) -> None:
     agenda = Agenda([make_trial(k) for k in range(1, n + 1)], flow)
     assert walk(agenda)[3:] == ["main", *steps, "end"]
-
-
-def test_a_break_stands_as_long_as_the_flow_says() -> None:
-    flow = replace(CALM, break_trials=1, break_s=7, rest_s=9)
-    agenda = Agenda([make_trial(n) for n in (1, 2, 3)], flow)
-    pages: dict[str, float] = {}
-    while (step := agenda.ask()) is not None:
-        pages |= {step.key: step.least_s} if isinstance(step, Page) else {}
-        pass_by(agenda)
-    assert (pages["break"], pages["rest"], pages["welcome"]) == (7, 9, 0)
 
 
 @pytest.mark.parametrize(
@@ -246,26 +210,6 @@ def test_warming_up_repeats_the_practice_of_the_task_at_hand() -> None:
     assert walk(agenda) == ["warm_up", 5, 3, "end"]
     agenda.warm_up()
     assert agenda.ask() is None
-
-
-def test_who_has_no_practice_to_repeat_is_not_asked_to_warm_up() -> None:
-    later = make_trial(2, protocol="similarity")
-    agenda = Agenda([make_trial(1), later, make_trial(3, phase="practice")], CALM)
-    while agenda.ask() != later:
-        pass_by(agenda)
-    agenda.warm_up()
-    assert walk(agenda) == [2, "end"]
-
-
-def test_the_time_to_the_next_break_starts_anew_after_warming_up() -> None:
-    trials = [make_trial(n) for n in range(1, 7)] + [make_trial(7, phase="practice")]
-    agenda = Agenda(trials, replace(CALM, break_min=1.0))
-    while agenda.ask() != trials[1]:
-        pass_by(agenda)
-    agenda.warm_up()
-    for time_s in (3600, 3610, 3620):
-        pass_by(agenda, time_s)
-    assert agenda.ask() == trials[2]
 
 
 def test_a_step_that_was_not_next_is_refused() -> None:

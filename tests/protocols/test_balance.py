@@ -1,8 +1,7 @@
 from __future__ import annotations
 
 import tracemalloc
-from collections import Counter, defaultdict
-from functools import cache
+from collections import Counter
 from itertools import pairwise
 from math import sqrt
 from typing import TYPE_CHECKING
@@ -12,44 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.compare import count_rows, williams_row
-from feel321.protocols.order import make_order, measure_balance, pool_balances, select_share
-from feel321.protocols.tasks import make_task
+from feel321.protocols.order import measure_balance, pool_balances, select_share
 from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from feel321.protocols.order import Balance, Counts
+    from feel321.protocols.order import Counts
 
 N_RECORDINGS, N_STIMULI, CYCLE = 8, 12, 24
-ITEMS = [
-    Item(f"{r}-{s}", str(r), str(s), "as_is", ("reference", "anchor", "anchor", "test")[min(s, 3)])
-    for r in range(N_RECORDINGS)
-    for s in range(N_STIMULI)
-]
 
 letters = st.lists(st.text("ABCDE", max_size=8), min_size=1, max_size=6)
-
-
-@cache
-def list_sequences(number: int, order: str, seed: int) -> dict[str, list[str]]:
-    """Order of the stimuli of each recording in the session of a participant."""
-    own: dict[str, list[str]] = defaultdict(list)
-    rng = np.random.default_rng(seed)
-    for t in make_order(
-        ITEMS, [make_task("realism")], number=number, repeats=1, order=order, rng=rng
-    ):
-        own[t.recording].append(t.judgements[0].stimulus_id)
-    return own
-
-
-def run(numbers: Iterable[int], order: str = "williams", seed: int = 1) -> Balance:
-    """Balance inside the recordings, after the sessions of these participants."""
-    sessions = [list_sequences(number, order, seed) for number in numbers]
-    return pool_balances(
-        measure_balance([own[recording] for own in sessions]) for recording in sessions[0]
-    )
 
 
 def expand(counts: Counts) -> dict[tuple[str, object], int]:
@@ -72,20 +42,6 @@ def test_counts_by_hand() -> None:
     assert balance.carry_over.measure_variation() == pytest.approx(sqrt(4 / 6 - 16 / 36) / (4 / 6))
 
 
-@pytest.mark.parametrize("n", range(2, 13))
-def test_a_square_is_in_perfect_balance_and_no_longer_without_a_row(n: int) -> None:
-    square = [[str(i) for i in row] for row in (williams_row(n, k) for k in range(count_rows(n)))]
-    whole, less = measure_balance(square), measure_balance(square[1:])
-    assert (whole.positions.measure_variation(), whole.carry_over.measure_variation()) == (0.0, 0.0)
-    assert less.positions.measure_variation() > 0
-    assert less.carry_over.measure_variation() > 0
-
-
-def test_one_condition_alone_has_no_carry_over() -> None:
-    balance = measure_balance(["A", "A"])
-    assert (balance.carry_over.size, balance.carry_over.find_ends()) == (0, (0, 0))
-
-
 def test_pooled_groups_add_up_and_are_not_held_against_each_other() -> None:
     pooled = pool_balances([measure_balance(["AB", "BA"]), measure_balance(["CD", "DC", "CC"])])
     assert ("A", "C") not in expand(pooled.carry_over)
@@ -98,32 +54,6 @@ def test_pooled_groups_add_up_and_are_not_held_against_each_other() -> None:
 def test_nothing_run_is_refused() -> None:
     with pytest.raises(ValueError, match="sequences must hold at least one condition that was run"):
         measure_balance([[], []])
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_williams_is_in_perfect_balance_after_full_cycles_from_any_participant(seed: int) -> None:
-    for start in (1, 6):
-        balance = run(range(start, start + CYCLE), seed=seed)
-        assert (balance.positions.measure_variation(), balance.carry_over.measure_variation()) == (
-            0.0,
-            0.0,
-        )
-
-
-@pytest.mark.parametrize("n_participants", [6, 12, 15, 16, 24])
-@pytest.mark.parametrize("order", ["blocked", "random"])
-def test_shuffled_orders_are_worse_than_williams_and_as_good_as_chance(
-    order: str, n_participants: int
-) -> None:
-    numbers = range(1, n_participants + 1)
-    shuffled, williams = run(numbers, order), run(numbers)
-    chance = sqrt((N_STIMULI - 1) / n_participants)
-    assert shuffled.positions.measure_variation() > williams.positions.measure_variation()
-    assert shuffled.positions.measure_variation() == pytest.approx(chance, rel=0.1)
-    # In a mixed order, neighbours within a recording did not follow each other.
-    if order == "blocked":
-        assert shuffled.carry_over.measure_variation() > williams.carry_over.measure_variation()
-        assert shuffled.carry_over.measure_variation() == pytest.approx(chance, rel=0.1)
 
 
 def count_every_cell(groups: list[list[str]]) -> tuple[dict[tuple[str, int], int], ...]:

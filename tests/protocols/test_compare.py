@@ -4,23 +4,16 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from itertools import combinations, pairwise, product
+from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.protocols.compare import CHOICES, EXPECTED, MUSHRA_MOST, choose_pairs
+from feel321.protocols.compare import EXPECTED, choose_pairs
 from feel321.protocols.order import make_order
-from feel321.protocols.tasks import (
-    PROTOCOLS,
-    find_other,
-    is_as_expected,
-    make_task,
-    measure_chance,
-    score_trial,
-)
+from feel321.protocols.tasks import PROTOCOLS, find_other, make_task, measure_chance
 from feel321.protocols.trial import RATING_RANGE, SURFACE, TIMINGS, Judgement, Trial
 
 if TYPE_CHECKING:
@@ -219,21 +212,6 @@ def test_sets_that_lack_something_are_refused(name: str, make_items: MakeItems) 
         assert protocol.score(Judgement("test", "tap"), 62.5, {"test": "tap"}) == 62.5
 
 
-@pytest.mark.parametrize("name", ["similarity", "dissimilarity", "mushra", "abx"])
-def test_a_reference_that_the_set_has_once_serves_every_arm(
-    name: str, make_items: MakeItems
-) -> None:
-    shared = [*make_items("tap", ["original"]), *make_items("tap", ["dft321"], LEVELS)]
-    felt = [
-        {p.stimulus_id for p in c.parts} for c in compare(name, shared) if c.catch != "identical"
-    ]
-    assert felt == [{"tap-original-as_is", f"tap-dft321-{level}"} for level in LEVELS]
-    two = [*make_items("tap", ["dft321"], ["loud"]), *make_items("tap", ["original"], LEVELS)]
-    if name == "similarity":
-        with pytest.raises(ValueError, match=r"level .loud. must have exactly one .* got 2"):
-            compare(name, two)
-
-
 # Sliders, by hand.
 
 
@@ -274,79 +252,6 @@ def test_one_stimulus_after_its_reference(
         assert judgement.reference_id == about
 
 
-@given(n=st.integers(1, 12), n_levels=st.integers(1, 3))
-def test_every_unordered_pair_differs_once_in_each_arm_and_one_is_identical(
-    n: int, n_levels: int, make_items: MakeItems
-) -> None:
-    names, levels = (*REDUCERS[:n], "original"), [f"level{i}" for i in range(n_levels)]
-    with_anchors = make_items("tap", (*names, "low"), levels)  # which take no part
-    compared = compare("dissimilarity", with_anchors)
-    assert Counter(frozenset(p.stimulus_id for p in c.parts) for c in compared) == Counter(
-        frozenset(f"tap-{name}-{level}" for name in pair)
-        for level in levels
-        for pair in [*combinations(names, 2), ("original", "original")]
-    )
-    assert Counter(list_expected(compared))[0, 25] == n_levels
-
-
-def test_of_two_that_differ_the_other_comes_first_on_odd_turns(make_items: MakeItems) -> None:
-    arrange = PROTOCOLS["dissimilarity"].arrange
-    for comparison, turn in product(compare("dissimilarity", make_items("tap", NAMES)), range(4)):
-        arranged = arrange(comparison, turn)
-        assert name_parts(arranged) == name_parts(comparison)[:: -1 if turn % 2 else 1]
-        (judgement,), (first, second) = arranged.judgements, arranged.parts
-        assert (first.name, second.name, judgement.part) == ("first", "second", "second")
-        assert (judgement.reference_id, judgement.stimulus_id) == (
-            first.stimulus_id,
-            second.stimulus_id,
-        )
-
-
-def test_a_page_holds_one_arm_of_one_recording_and_names_its_reference(
-    make_items: MakeItems,
-) -> None:
-    pages = compare("mushra", make_items("tap", NAMES, LEVELS))
-    assert [name_parts(page) for page in pages] == [["original", *NAMES]] * 2
-    assert [part.name for part in pages[0].parts] == ["reference", *"123456"]
-    assert {j.reference_id for j in pages[1].judgements} == {"tap-original-equal_intensity"}
-    assert list_expected(pages[:1]) == [None, None, None, (75, 100), (0, 50), (0, 50)]
-    (page,) = compare("mushra", make_items("tap", NAMES), reference="dft321")
-    assert name_parts(page)[0] == "dft321"
-    assert list_expected((page,)) == [None, None, (75, 100), None, (0, 50), (0, 50)]
-
-
-@pytest.mark.parametrize("n", [5, 6, 12])
-def test_over_a_cycle_of_turns_the_slots_of_a_page_are_balanced(
-    n: int, make_items: MakeItems
-) -> None:
-    (page,) = compare("mushra", make_items("tap", (*REDUCERS[: n - 3], "original", "low", "mid")))
-    times, arrange = 1 + n % 2, PROTOCOLS["mushra"].arrange
-    turned = [arrange(page, turn) for turn in range(times * n)]
-    for one in turned:
-        assert [(j.part, j.stimulus_id) for j in one.judgements] == [
-            (p.name, p.stimulus_id) for p in one.parts[1:]
-        ]
-        assert {j.stimulus_id: j.expected for j in one.judgements} == {
-            j.stimulus_id: j.expected for j in page.judgements
-        }
-    rows = [name_parts(one)[1:] for one in turned]
-    places = Counter((place, name) for row in rows for place, name in enumerate(row))
-    assert (len(places), set(places.values())) == (n * n, {times})
-    neighbours = Counter(pair for row in rows for pair in pairwise(row))
-    assert (len(neighbours), set(neighbours.values())) == (n * (n - 1), {times})
-    assert arrange(page, times * n) == turned[0]
-
-
-def test_twelve_fill_a_page_and_thirteen_are_refused(make_items: MakeItems) -> None:
-    names = (*(f"r{i}" for i in range(MUSHRA_MOST - 1)), "original")
-    (page,) = compare("mushra", make_items("tap", names))
-    assert len(page.judgements) == 12
-    with pytest.raises(
-        ValueError, match=r"a page of mushra must have at most 12 stimuli .* got 13"
-    ):
-        compare("mushra", make_items("tap", (*names, "low")))
-
-
 # Choices, by hand.
 
 
@@ -367,29 +272,6 @@ def test_abx_tells_everything_from_the_reference_in_four_arrangements(
             (a, b, x) for a, b in [(one, other), (other, one)] for x in (a, b)
         )
         assert abx.arrange(arranged[3], start) == arranged[0]  # whatever came before
-
-
-def test_who_feels_the_difference_scores_100_and_who_does_not_50(make_items: MakeItems) -> None:
-    abx, reference = PROTOCOLS["abx"], "tap-original-as_is"
-    answers: dict[Callable[[dict[str, Any]], str], float] = {
-        lambda felt: "a" if felt["a"] == felt["x"] else "b": 100,
-        lambda felt: "b" if felt["a"] == felt["x"] else "a": 0,
-        lambda _: "a": 50,
-        lambda felt: "a" if felt["a"] == reference else "b": 50,
-    }
-    for comparison, (answer, score) in product(
-        compare("abx", make_items("tap", NAMES)), answers.items()
-    ):
-        scores = []
-        for turn in range(4):
-            arranged = abx.arrange(comparison, turn)
-            felt = {part.name: part.stimulus_id for part in arranged.parts}
-            scores.append(abx.score(arranged.judgements[0], answer(felt), felt))
-        assert set(scores) <= {0, 100}
-        assert sum(scores) / 4 == score
-    for wrong in ("x", "c", 50.0):
-        with pytest.raises(ValueError, match=f"answer must be one of a, b; got {str(wrong)!r}"):
-            abx.score(comparison.judgements[0], wrong, felt)
 
 
 @given(st.integers(2, 14), st.integers(1, 91), st.text(max_size=5))
@@ -439,37 +321,6 @@ def test_pairs_of_reducers_and_two_catches(
     about = {"tap": SURFACE}.get(heads[0], f"tap-{heads[0]}-as_is") if heads else None
     about = None if name == "preference" else about
     assert {c.judgements[0].reference_id for c in compared} == {about}
-
-
-def test_every_stimulus_may_be_the_reference_in_turn(make_items: MakeItems) -> None:
-    items, felt = make_items("tap", NAMES), ("original", *TESTS)
-    compared = compare("triplet", items, reference="every")
-    asked = [tuple(name_parts(c)) for c in compared if not c.catch]
-    assert sorted(asked) == sorted(
-        (head, *pair) for head in felt for pair in combinations([n for n in felt if n != head], 2)
-    )
-    assert [name_parts(c)[0] for c in compared if c.catch] == ["original", "original"]
-    some = compare("triplet", items, reference="every", pairs=2)
-    assert Counter(name_parts(c)[0] for c in some if not c.catch) == dict.fromkeys(felt, 2)
-
-
-@pytest.mark.parametrize("name", ["triplet", "preference"])
-@given(number=st.integers(1, 40), pairs=st.integers(1, 6))
-def test_a_row_names_both_stimuli_and_who_won(
-    name: str, number: int, pairs: int, make_items: MakeItems
-) -> None:
-    task = make_task(name, pairs=pairs)
-    trials = make_order(make_items("tap", NAMES), [task], number=number, repeats=2)
-    assert len(trials) == 2 * (min(pairs, 3 if name == "triplet" else 6) + 2)
-    for trial in trials:
-        (judgement,) = trial.judgements
-        felt = {part.name: part.stimulus_id for part in trial.parts}
-        assert (judgement.stimulus_id, find_other(trial, judgement)) == (felt["a"], felt["b"])
-        assert score_trial(trial, {"a": "a"}) == {"a": 100.0}
-        assert score_trial(trial, {"a": "b"}) == {"a": 0.0}
-        if trial.catch:
-            choices = {choice: is_as_expected(trial, {"a": choice}) for choice in CHOICES}
-            assert choices == {choice: "original" in str(felt[choice]) for choice in CHOICES}
 
 
 @pytest.mark.parametrize("name", ["triplet", "preference"])

@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
-from dataclasses import replace
-from itertools import combinations, pairwise, product
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,18 +10,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from feel321.protocols import order as orders_module
 from feel321.protocols.compare import count_rows, williams_row
-from feel321.protocols.order import (
-    ORDERS,
-    arrange_sections,
-    find_crowding,
-    make_order,
-    make_rehearsal,
-    measure_balance,
-    order_tasks,
-    shuffle_rows,
-)
+from feel321.protocols.order import ORDERS, find_crowding, make_order, shuffle_rows
 from feel321.protocols.tasks import PROTOCOLS, find_other, make_task
 from feel321.protocols.trial import Item
 
@@ -116,49 +105,6 @@ def test_no_recording_follows_itself_across_blocks_and_rounds(
     assert all(a.recording != b.recording for a, b in pairwise(trials) if a.block != b.block)
 
 
-@given(orders, numbers, st.integers(1, 5), st.integers(2, 7), seeds)
-def test_no_stimulus_of_a_lone_recording_follows_itself(
-    name: str, number: int, repeats: int, n_stimuli: int, seed: int
-) -> None:
-    trials = order(list_items(1, n_stimuli), number, repeats, order=name, seed=seed)
-    assert all(get_stimulus(a) != get_stimulus(b) for a, b in pairwise(trials))
-
-
-@pytest.mark.parametrize("name", ORDERS)
-def test_a_lone_stimulus_may_follow_itself(name: str) -> None:
-    trials = order([Item("tap", "tap", "dft321", "as_is", "test")], repeats=2, order=name)
-    assert [get_stimulus(t) for t in trials] == ["tap", "tap"]
-
-
-@pytest.mark.parametrize("name", ORDERS)
-def test_order_depends_on_seed_and_participant_and_on_nothing_else(
-    items: list[Item], name: str
-) -> None:
-    assert order(items, 3, order=name) == order(items, 3, order=name)
-    assert order(items, 3, order=name) != order(items, 4, order=name)
-    assert len({order(items, 3, seed=seed, order=name) for seed in range(5)}) == 5
-
-
-@pytest.mark.parametrize("name", ["blocked", "random"])
-def test_shuffled_orders_are_the_participants_own(items: list[Item], name: str) -> None:
-    assert (
-        len({
-            tuple(map(get_stimulus, order(items, number, order=name))) for number in range(1, 101)
-        })
-        == 100
-    )
-
-
-@pytest.mark.parametrize("name", ["williams", "blocked"])
-def test_a_block_is_one_recording_of_one_protocol_and_repeat(items: list[Item], name: str) -> None:
-    trials = order(items, repeats=2, tasks=BOTH, order=name)
-    blocks: dict[int, set[tuple[str, int, str]]] = defaultdict(set)
-    for t in trials:
-        blocks[t.block].add((t.protocol, t.repeat, t.recording))
-    assert list(blocks) == list(range(1, 2 * 2 * 3 + 1))
-    assert all(len(block) == 1 for block in blocks.values())
-
-
 @pytest.mark.parametrize("repeat", [1, 2, 3])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round(
@@ -209,43 +155,6 @@ def test_places_of_reducers_pooled_over_recordings_are_near_balance_after_any_nu
     assert max(counts) - min(counts) <= 2
 
 
-@pytest.mark.parametrize("number", range(1, 7))
-def test_no_two_recordings_or_repeats_of_one_participant_share_an_order(
-    items: list[Item], number: int
-) -> None:
-    blocks = list_blocks(order(items, number, repeats=2, tasks=BOTH))
-    for this, that in combinations(blocks, 2):
-        if sum(a != b for a, b in zip(this, that, strict=True)) == 1:
-            assert blocks[this] != blocks[that], (this, that)
-
-
-@given(st.integers(0, 40), st.integers(2, 5))
-def test_either_of_a_pair_comes_first_equally_often_over_participants_and_over_repeats(
-    start: int, n: int
-) -> None:
-    items = list_items(2, n)
-    two_participants = [t for k in (1, 2) for t in order(items, start + k, tasks=["dissimilarity"])]
-    for trials in (two_participants, order(items, start + 1, 2, tasks=["dissimilarity"])):
-        came_first = defaultdict(set)
-        for t in trials:
-            came_first[name_comparison(t)].add(t.parts[0].stimulus_id)
-        assert all(first == set(stimuli) for (_, _, stimuli), first in came_first.items())
-
-
-@given(st.integers(0, 40))
-def test_four_participants_meet_every_arrangement_of_abx_once(start: int) -> None:
-    met = defaultdict(list)
-    for number in range(start + 1, start + 5):
-        for t in order(list_items(3, 5), number, tasks=["abx"]):
-            a, b, x = (part.stimulus_id for part in t.parts)
-            met[name_comparison(t)].append((a, x == a))
-            assert x in {a, b}
-    assert all(
-        sorted(found) == sorted(product(stimuli, (False, True)))
-        for (_, _, stimuli), found in met.items()
-    )
-
-
 @given(st.integers(0, 40), st.integers(2, 7))
 def test_every_stimulus_stands_in_every_slot_of_a_page_equally_often(start: int, n: int) -> None:
     cycle = count_rows(n)
@@ -277,72 +186,7 @@ def test_orders_of_nothing_are_refused(
         order([])
 
 
-def test_a_recording_without_anything_to_judge_is_left_out_and_a_task_without_any_is_refused() -> (
-    None
-):
-    def order_abx(items: list[Item]) -> tuple[Trial, ...]:
-        task = make_task("abx", reference="1")
-        return make_order(items, [task], number=1, repeats=1, rng=np.random.default_rng(1))
-
-    lone, pair = list_items(1, 2), [Item(f"tap-{s}", "tap", s, "as_is", "test") for s in "12"]
-    assert {t.recording for t in order_abx(lone + pair)} == {"tap", "0"}
-    only = [item for item in lone if item.role == "test"]
-    assert {t.recording for t in order_abx(only + pair)} == {"tap"}
-    with pytest.raises(
-        ValueError, match="abx: no stimulus of the set is to be judged; build a set with reducers"
-    ):
-        order_abx(only)
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda items: make_order(items, "realism", number=1), "tasks must be a list"),
-        (lambda items: make_order(items, ["realism"], number=1, rng="x"), "rng must be a whole"),
-    ],
-)
-def test_what_is_no_list_is_refused(items: list[Item], make: Any, message: str) -> None:
-    with pytest.raises(TypeError, match=message):
-        make(items)
-
-
 TASKS = ("realism", "similarity", "dissimilarity", "abx")
-
-
-@given(orders, numbers, repeat_counts, st.integers(1, 3), st.integers(1, 4), seeds)
-def test_counterbalanced_tasks_are_a_permutation_of_the_sections_and_of_nothing_else(
-    name: str, number: int, repeats: int, n_recordings: int, n_tasks: int, seed: int
-) -> None:
-    tasks = [make_task(protocol) for protocol in TASKS[:n_tasks]]
-    fixed = order(
-        list_items(n_recordings, 3), number, repeats, tasks=TASKS[:n_tasks], order=name, seed=seed
-    )
-    own = order_tasks(tasks, number=number)
-    moved = arrange_sections(fixed, own)
-    assert list(dict.fromkeys(t.protocol for t in moved)) == [task.protocol for task in own]
-    assert [t.number for t in moved] == list(range(1, len(fixed) + 1))
-    blocks = [t.block for t in moved]
-    assert blocks == sorted(blocks)
-    assert set(blocks) == {t.block for t in fixed}
-    for task in tasks:  # inside a section, all is as it was
-        before, after = (
-            [replace(t, number=0, block=0) for t in trials if t.protocol == task.protocol]
-            for trials in (fixed, moved)
-        )
-        assert before == after
-
-
-@pytest.mark.parametrize("n_tasks", [1, 2, 3, 4])
-def test_tasks_are_as_often_at_each_place_and_after_each_other(n_tasks: int) -> None:
-    tasks = [make_task(protocol) for protocol in TASKS[:n_tasks]]
-    rows = [
-        [task.protocol for task in order_tasks(tasks, number=number)]
-        for number in range(1, count_rows(n_tasks) + 1)
-    ]
-    balance = measure_balance(rows)
-    assert balance.positions.measure_variation() == balance.carry_over.measure_variation() == 0
-    assert balance.repeats == 0
-    assert rows[0] == list(TASKS[:n_tasks]) or n_tasks > 2
 
 
 # Williams squares.
@@ -464,48 +308,6 @@ def test_what_a_trial_is_cannot_be_told_from_its_place(
     assert np.abs(shares - share).max() < 4 * error
 
 
-def test_after_a_catch_trial_another_is_as_likely_as_anywhere(
-    mixed: list[tuple[Trial, ...]],
-) -> None:
-    after = [
-        bool(second.catch) for trials in mixed for first, second in pairwise(trials) if first.catch
-    ]
-    # A reference after a reference is what the rules leave out, one of eight catch trials in nine.
-    assert np.mean(after) == pytest.approx(9 / 27, abs=0.04)
-
-
-def test_references_stand_at_no_fixed_distance(mixed: list[tuple[Trial, ...]]) -> None:
-    places = [
-        [place for place, trial in enumerate(trials) if trial.catch == "hidden_reference"]
-        for trials in mixed
-    ]
-    gaps = Counter(after - place for own in places for place, after in pairwise(own))
-    assert set(range(2, 17)) <= set(gaps)
-    assert max(gaps.values()) < 0.15 * gaps.total()
-
-
-def test_nobody_waits_for_what_cannot_be_better(monkeypatch: pytest.MonkeyPatch) -> None:
-    draws: Counter[str] = Counter()
-    draw = orders_module._draw_order
-    monkeypatch.setattr(
-        orders_module,
-        "_draw_order",
-        lambda *args, **named: draws.update(["draw"]) or draw(*args, **named),
-    )
-    # Each round is better drawn than this bound can tell: every recording has its reference at every other place.
-    mix(list_mixed([(1, 1), (1, 1)]), repeats=20)
-    assert 20 <= draws.total() < 20 * 3 * orders_module.PATIENCE
-
-
-@given(st.integers(0, 999))
-def test_a_recording_with_more_than_its_share_is_mixed_in_as_long_as_that_is_possible(
-    seed: int,
-) -> None:
-    # 21 of 41 can only stand at every other place; nobody hits on that by drawing again and again.
-    trials = mix(list_mixed([(21, 0), (10, 0), (10, 0)]), seed=seed)
-    assert [trial.recording == "0" for trial in trials] == [True, False] * 20 + [True]
-
-
 @pytest.mark.parametrize(
     ("stimuli", "expected"),
     [
@@ -519,14 +321,3 @@ def test_rules_that_cannot_be_kept_are_broken_as_rarely_as_possible_and_it_is_sa
 ) -> None:
     for seed in range(20):
         assert find_crowding(mix(list_mixed(stimuli), seed=seed)) == expected
-
-
-def test_sections_and_rehearsal_are_not_held_against_each_other() -> None:
-    items = list_mixed([(2, 1), (2, 1), (2, 1)])
-    tasks = [make_task("realism", training=9), make_task("realism")]
-    trials = make_order(
-        items, tasks[:1], number=1, repeats=1, order="random", rng=np.random.default_rng(1)
-    )
-    rehearsal = make_rehearsal(items, tasks[:1], first_number=10, rng=np.random.default_rng(1))
-    assert any(a.catch and b.catch for a, b in pairwise(rehearsal))
-    assert find_crowding((*trials, *rehearsal)) == []

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.order import make_order, make_rehearsal
+from feel321.protocols.order import make_rehearsal
 from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task
 from feel321.protocols.trial import Item
 
@@ -65,21 +65,6 @@ def test_each_task_has_its_training_then_its_practice_and_never_more_than_there_
     assert {(t.block, t.repeat) for t in trials} <= {(0, 0)}
 
 
-@given(st.integers(0, 18), st.integers(0, 18), st.integers(0, 999))
-def test_nothing_comes_twice_in_a_phase_and_practice_takes_what_training_left(
-    training: int, practice: int, seed: int
-) -> None:
-    trials = rehearse("realism", training=training, practice=practice, seed=seed)
-    chosen = {
-        phase: [t.judgements for t in trials if t.phase == phase]
-        for phase in ("training", "practice")
-    }
-    assert all(len(set(judgements)) == len(judgements) for judgements in chosen.values())
-    assert len(set(chosen["training"]) & set(chosen["practice"])) == max(
-        0, training + practice - 18
-    )
-
-
 @given(st.integers(1, 18), st.integers(0, 999))
 def test_trials_with_a_known_answer_come_first_and_no_answer_is_right_for_most(
     training: int, seed: int
@@ -127,49 +112,3 @@ def test_nobody_passes_training_who_always_answers_the_same(
     met = [is_as_expected(t, {j.part: points for j in t.judgements}) for t in rounds]
     right = [understood for understood in met if understood is not None]
     assert sum(right) < 0.75 * len(right)
-
-
-@given(st.integers(1, 9), st.integers(0, 999))
-def test_training_and_practice_are_spread_over_recordings(count: int, seed: int) -> None:
-    trials = rehearse("dissimilarity", training=count, practice=count, seed=seed)
-    for phase in ("training", "practice"):
-        per_recording = Counter(t.recording for t in trials if t.phase == phase)
-        counts = [per_recording[recording] for recording in ("bumps", "drag", "taps")]
-        # What the sides of the answers leave to choose from may be of one recording.
-        assert max(counts) - min(counts) <= (2 if phase == "training" else 1)
-
-
-def test_sides_do_not_alternate_predictably() -> None:
-    rounds = [rehearse("similarity", training=4, seed=seed) for seed in range(60)]
-    assert len({tuple(map(get_side, trials)) for trials in rounds}) == 6
-
-
-def test_arrangements_are_drawn_too() -> None:
-    pages = [
-        t
-        for seed in range(40)
-        for t in rehearse("mushra", training=3, seed=seed)
-        if t.recording == "taps"
-    ]
-    assert len({t.judgements for t in pages}) == 6  # the rows of a square of six
-
-
-@pytest.mark.parametrize("name", ["williams", "blocked", "random"])
-def test_rehearsal_leaves_the_main_order_as_it_is(name: str) -> None:
-    task = make_task("realism", training=4, practice=2)
-    undisturbed, rng = np.random.default_rng(3), np.random.default_rng(3)
-    make_rehearsal(ITEMS, [task], first_number=1, rng=rng)
-    arguments = {"number": 2, "repeats": 2, "order": name}
-    assert make_order(ITEMS, [task], rng=rng, **arguments) == make_order(
-        ITEMS, [task], rng=undisturbed, **arguments
-    )
-
-
-def test_rehearsal_depends_on_the_generator_alone() -> None:
-    assert rehearse("realism", training=4, seed=2) == rehearse("realism", training=4, seed=2)
-    assert len({rehearse("realism", training=4, seed=seed) for seed in range(10)}) == 10
-
-
-def test_rehearsal_of_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="items must be at least one"):
-        rehearse("realism", items=[])

@@ -12,25 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.protocols.order import make_order, make_rehearsal
-from feel321.protocols.tasks import PROTOCOLS, is_as_expected, make_task, refine_task, score_trial
-from feel321.protocols.trial import Item, Task, place_in_groups, select_group, select_items
+from feel321.protocols.tasks import is_as_expected, make_task, refine_task, score_trial
+from feel321.protocols.trial import Item, place_in_groups, select_group, select_items
 
 ITEMS = [
     Item("oak-original", "oak", "original", "as_is", "reference"),
     Item("oak-sax321", "oak", "sax321", "as_is", "test"),
     Item("oak-anchor", "oak", "anchor_low", "as_is", "anchor"),
 ]
-
-
-@pytest.mark.parametrize("name", PROTOCOLS)
-def test_a_task_takes_the_first_of_everything_unless_told_otherwise(name: str) -> None:
-    protocol = PROTOCOLS[name]
-    assert make_task(name) == Task(name, protocol.timings[0], "original")
-    for timing in protocol.timings:
-        assert make_task(name, timing=timing).timing == timing
-    for kind in protocol.references:
-        reference = "dft321" if kind == "reducer" else kind
-        assert make_task(name, reference=reference).reference == reference
 
 
 @pytest.mark.parametrize(
@@ -128,12 +117,6 @@ def test_successive_participants_go_through_all_combinations_in_order(
     assert list(groups) == list(between)
     assert tuple(groups.values()) == combinations[(number - 1) % len(combinations)]
     assert place == (number - 1) // len(combinations) + 1
-
-
-def test_combinations_are_counted_and_not_listed() -> None:
-    between = {f"factor{n}": ["off", "on"] for n in range(80)}
-    groups, place = place_in_groups(between, 2**80 + 2)
-    assert (place, groups["factor79"], groups["factor78"]) == (2, "on", "off")
 
 
 def test_a_group_has_its_own_levels_and_tasks_and_shared_references() -> None:

@@ -122,18 +122,6 @@ def test_100_observers_lie_in_their_intervals(name: str) -> None:
     assert np.median(widths) < 10  # an interval that holds everything proves nothing
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize(
-    ("slopes", "lapse"), [((0.8, 0.8), 0.04), ((12, 12), 0.04), ((3, 3), 0.08)]
-)
-def test_wrong_assumptions_shift_the_threshold_by_little(
-    name: str, slopes: tuple[float, float], lapse: float
-) -> None:
-    planted, _, estimates = recover(name, 30, trials=60, slopes=slopes, lapse=lapse)
-    assert abs(np.nanmedian(errors(planted, estimates))) < 2
-    assert coverage(planted, estimates, "threshold") >= 0.6
-
-
 def test_the_planted_proportion_is_correct_at_the_threshold() -> None:
     for n_down, expected in ((2, 0.7071), (3, 0.7937), (4, 0.8409)):  # Levitt 1971, Table I
         plan = ThresholdPlan(lowest_db=-60, highest_db=0, start_db=0, n_down=n_down)
@@ -160,33 +148,6 @@ def test_a_staircase_by_hand() -> None:
     assert str(valley.threshold_db) == "nan"
     assert valley.notes[0] == "no threshold: too few reversals with the last step"
     assert estimate.threshold_db == -20
-
-
-def test_levels_are_chosen_for_the_least_expected_entropy() -> None:
-    """By definition: the posterior's entropy after each answer, weighed by the answer's probability."""
-    plan = ThresholdPlan(-30, 0, -10, trials=30, catch_every=0)
-    procedure, rng = resume("bayesian", plan), np.random.default_rng(3)
-    prior, levels = np.ones_like(module._predict_grid(plan, 0)), np.arange(-30, 1.0)
-    prior /= prior.sum()
-    for _ in range(12):
-        trial = procedure.next()
-        assert trial is not None
-        assert trial.level_db is not None
-        expected = [expect_entropy(prior, module._predict_grid(plan, level)) for level in levels]
-        assert expected[levels.tolist().index(trial.level_db)] == pytest.approx(min(expected))
-        correct = rng.random() < 0.8
-        procedure.update(trial.interval if correct else 3 - trial.interval)
-        chances = module._predict_grid(plan, trial.level_db)
-        prior *= chances if correct else 1 - chances
-        prior /= prior.sum()
-
-
-def expect_entropy(prior: np.ndarray, chances: np.ndarray) -> float:
-    total = 0.0
-    for joint in (prior * chances, prior * (1 - chances)):
-        posterior = joint / joint.sum()
-        total -= joint.sum() * float((posterior * np.log(posterior + 1e-300)).sum())
-    return total
 
 
 def test_questplus_chooses_the_same_levels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -242,38 +203,10 @@ def test_replay_is_identical(name: str) -> None:
     assert estimate_threshold(again) == estimate_threshold(whole)
 
 
-def test_catch_trials_are_silent_and_spread() -> None:
-    procedure = conduct("staircase", Observer(-30))
-    silent = [one.level_db is None for one in procedure.shown]
-    assert (len(silent), sum(silent)) == (66, 6)
-    assert [sum(silent[start : start + 11]) for start in range(0, 66, 11)] == [1] * 6
-    intervals = [one.interval for one in procedure.shown]
-    assert 20 < intervals.count(1) < 46
-
-
 def test_catch_trials_find_a_leaking_cue() -> None:
     estimate = estimate_threshold(conduct("staircase", Observer(-30, hint=True)))
     assert (estimate.catch_trials, estimate.catch_correct) == (6, 6)
     assert any(note.startswith("6 of 6 silent catch trials correct") for note in estimate.notes)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_catch_trials_do_not_touch_levels(name: str) -> None:
-    """Whatever is answered to silence, the next levels are the same."""
-    whole = conduct(name, Observer(-30), plan={"trials": 20})
-    flipped = [
-        3 - answer if one.level_db is None else answer
-        for one, answer in zip(whole.shown, whole.answers, strict=True)
-    ]
-    again = resume(name, whole.plan, answers=flipped)
-    assert flipped != whole.answers
-    assert again.shown == whole.shown
-
-
-def test_guessing_by_the_binomial_distribution() -> None:
-    tails = [module.find_tail(hits, 6) for hits in (0, 5, 6)]
-    assert tails == [1, 7 / 64, 1 / 64]
-    assert module._binary_entropy(np.array([0, 0.5, 1 + 2**-50])).tolist() == [0, 1, 0]
 
 
 def test_a_preferred_interval_is_noted_from_5_percent_on() -> None:
@@ -283,22 +216,6 @@ def test_a_preferred_interval_is_noted_from_5_percent_on() -> None:
             procedure = resume("staircase", PLAN, answers=[side] * count + [other] * (66 - count))
             notes = " ".join(estimate_threshold(procedure).notes)
             assert ("interval 1 answered in" in notes) == noted
-
-
-def test_notes_name_one_interval_and_a_break() -> None:
-    estimate = estimate_threshold(resume("staircase", PLAN, answers=[1] * 20))
-    assert "broken off: 46 trials not answered" in estimate.notes
-    assert "interval 1 answered in 20 of 20 trials" in estimate.notes
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_estimate_without_answers_is_the_prior(name: str) -> None:
-    estimate = estimate_threshold(resume(name, PLAN))
-    assert estimate.catch_trials == 0
-    assert np.isnan(estimate.threshold_db) == (name == "staircase")
-    assert (estimate.threshold_low_db, estimate.threshold_high_db) == pytest.approx(
-        (-64.2, 4.2), abs=0.3
-    )
 
 
 @pytest.mark.parametrize(

@@ -3,9 +3,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 
-from feel321.stimuli.recording import Recording, check_acceleration, check_rate
+from feel321.doors import check_rate
+from feel321.stimuli import REDUCERS, psd, spectral_match
+from feel321.stimuli.recording import Recording, check_acceleration
 
 
 def test_samples_are_copied_and_cannot_be_changed() -> None:
@@ -76,3 +79,16 @@ def test_a_crop_may_end_where_the_recording_ends_but_for_rounding() -> None:
     assert recording.crop(0, recording.duration_s * (1 + 1e-12)).n_samples == 700
     with pytest.raises(ValueError, match="0 <= start < end <="):
         recording.crop(0, recording.duration_s * 1.001)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, pd.DataFrame])
+def test_samples_by_axes_are_refused_with_what_to_do(kind: object) -> None:
+    turned = kind(np.ones((50, 3)))
+    for use in (
+        lambda: Recording(turned, 1000.0, "turned"),
+        lambda: REDUCERS["dft321"](turned, 1000.0),
+        lambda: spectral_match(turned, np.ones(50), 1000.0),
+        lambda: psd(turned, rate_hz=1000.0),
+    ):
+        with pytest.raises(ValueError, match=r"got (the shape )?\(50, 3\); transpose it"):
+            use()

@@ -12,8 +12,7 @@ from feel321.protocols.texts import list_languages, read_scales, read_texts
 from feel321.protocols.trial import Judgement, Part, Trial
 from feel321.study.actuator.rig import digest, identify, read_rig
 from feel321.study.keys import KEY_NAMES, USUAL, KeysTable, label_keys
-from feel321.study.screen.input import Answer, InputEvent
-from feel321.study.screen.view import make_screen_texts
+from feel321.study.screen.input import Answer, InputEvent, make_screen_texts
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -105,7 +105,7 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     Model: P(i beats j) = 1 / (1 + exp(-(λ_i - λ_j + o))), comparisons independent; o is the order effect, for
     i presented first. It is a binomial regression without intercept on ±1 contrasts, fitted by Newton's
     method. Estimates are finite exactly if, however the items are parted in two, each part won against the other
-    (Ford 1957), which is checked before fitting. Half wins for ties keep the estimates sensible, but errors
+    (Ford 1957). Half wins for ties keep the estimates sensible, but errors
     are then those of as many decided comparisons.
 
     Comparisons of one rater are not independent: the plain errors are too small for a panel, and those by rater are
@@ -154,13 +154,13 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
             "order_effect needs pairs that say which was presented first, got others; leave it out"
         )
     wins, place = duels.wins + prior, duels.items.index(base)
-    _check_separation(duels, wins)
     design, names = _build_design(duels, place, order_effect=order_effect)
     (beta,), (curvature,), (is_astray,) = _fit_many(wins[None], design)
     if is_astray:
         worst = names[int(np.abs(beta).argmax())]
         raise ValueError(
-            f"pairs must have no separation, but the estimate of '{worst}' runs away; use prior=0.5"
+            f"pairs must have no separation, but the estimate of '{worst}' runs away, or nothing ties an item to the "
+            "others: each must win and lose, through others at least; gather more comparisons, or use prior=0.5"
         )
     errors, freedom = np.sqrt(np.linalg.inv(curvature).diagonal()), np.inf
     source = "95 % Wald interval, comparisons taken for independent"
@@ -222,34 +222,6 @@ def _find_errors(drawn: Values, n_raters: int) -> tuple[Values, list[str]]:
         alike = "all draws gave the same, so that nothing shows how raters differ"
         notes.append(f"No interval: {few if lost > MOST_UNDEFINED * draws else alike}.")
     return margins / t.ppf((1 + CONFIDENCE) / 2, n_raters - 1), notes
-
-
-def _check_separation(duels: Duels, wins: Values) -> None:
-    from scipy.sparse.csgraph import connected_components
-
-    def name(chosen: NDArray[np.bool_]) -> str:
-        pairs = zip(duels.items, chosen, strict=True)
-        return " and ".join(f"'{item}'" for item, taken in pairs if taken)
-
-    beat = np.zeros((len(duels.items), len(duels.items)))
-    np.add.at(beat, (duels.first, duels.second), wins[:, 0])
-    np.add.at(beat, (duels.second, duels.first), wins[:, 1])
-    n_apart, label = connected_components(beat, directed=False)
-    if n_apart > 1:
-        raise ValueError(
-            f"pairs must connect all items, got {name(label == 0)} never compared with {name(label == 1)}, even "
-            "through others; fit them apart"
-        )
-    n_parts, label = connected_components(beat, connection="strong")
-    # The smallest part that always won, or lost, is the one to name.
-    for number in np.argsort(np.bincount(label), kind="stable") if n_parts > 1 else ():
-        inside = label == number
-        never_lost = not beat[np.ix_(~inside, inside)].any()
-        if never_lost or not beat[np.ix_(inside, ~inside)].any():
-            raise ValueError(
-                f"pairs must have no separation, but {name(inside)} always {'won' if never_lost else 'lost'} against "
-                "all others: no finite estimate; gather more comparisons, or use prior=0.5"
-            )
 
 
 def _build_design(duels: Duels, base: int, *, order_effect: bool) -> tuple[Values, list[str]]:

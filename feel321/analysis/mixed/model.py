@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from feel321.types import Samples
 
-NEAR = 1e-6
-"""A step of a spread after which second derivatives are computed anew, for the sake of the degrees of freedom."""
+NEAR, STEPS = 1e-5, 3
+"""A step of a spread after which second derivatives are computed anew, and Newton's steps at most."""
 
 BOUND = 1 - 1e-6
 """A correlation beyond this is one of ±1 but for rounding."""
@@ -51,10 +51,12 @@ def find_uncertainty(
     which H is not positive carry no information and are left out, as lmerTest does. Newton's last step comes first.
     """
     hessian, slopes = profile.differentiate(best)
-    polished = optimum.polish(profile, best, hessian)
-    if np.abs(polished.theta - best.theta).max() > NEAR:
-        hessian, slopes = profile.differentiate(polished)
-    best = polished
+    for _ in range(STEPS):
+        polished = optimum.polish(profile, best, hessian)
+        moved, best = np.abs(polished.theta - best.theta).max(), polished
+        if moved <= NEAR:
+            break
+        hessian, slopes = profile.differentiate(best)
     covariance = (
         optimum.find_coefficients(profile, best)[1] * optimum.find_sigma(profile, best) ** 2
     )

@@ -61,8 +61,9 @@ STEP = 1e-4
 FLAT = 1e-8
 """Curvature below this carries no information: a spread at its boundary."""
 
-POLISH = 1e-3
-"""Longest step, in units of a spread, that Newton's method may take from where the search stopped."""
+POLISH, ROUNDING = 0.1, 1e-6
+"""Longest step, in units of a spread, that Newton's method may take from where the search stopped; what a deviance of
+some thousands is known to."""
 
 
 @dataclass(frozen=True)
@@ -602,4 +603,4 @@ def polish(profile: Profile, state: State, hessian: Samples) -> State:
     if not np.abs(step / unit).max(initial=0.0) < POLISH:
         return state
     moved = profile.evaluate(state.theta + step)
-    return moved if profile.target(moved) <= profile.target(state) + FLAT else state
+    return moved if profile.target(moved) <= profile.target(state) + ROUNDING else state

@@ -11,7 +11,7 @@ import numpy as np
 
 from feel321.analysis import maps
 from feel321.analysis import space as spaces
-from feel321.analysis.choices import CHANCE, fit_votes, gather_votes, predict
+from feel321.analysis.choices import CHANCE, gather_votes, predict
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original, discriminate_pairs
 from feel321.analysis.figures import kinds
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 # Choices between two stimuli: which metric predicts them, and what they say of the reducers.
 
 CLUSTERED = "95 % t interval, clustered by participants and recordings"
-CHOICE_TABLES = ("predicted", "differences", "weights", "abilities", "sizes")
+CHOICE_TABLES = ("predicted", "differences", "abilities", "sizes")
 ASKED = {
     "triplet": "which of two stimuli feels more like the reference",
     "preference": "which of two stimuli is preferred",
@@ -52,7 +52,7 @@ def compute_choices(table: Table, choices: Choices) -> Found:
         found: list[str] = [*_count_catches(part, own, rows["choices_sizes"])]
         rng = choices.make_rng("choices", *part.place)
         scale = partial(_scale, draws=choices.draws, rng=rng)
-        for step in (partial(_predict, told=told, pictures=pictures), _weigh, scale):
+        for step in (partial(_predict, told=told, pictures=pictures), scale):
             try:
                 found += step(part, own, rows)
             except ValueError as error:
@@ -181,17 +181,6 @@ def _claim(told: Row) -> str:
     ]
     hint = f" (with {join_words(told['few'])}, a hint rather than a result)" if told["few"] else ""
     return f"{join_words(names)} predict{'s' * (len(names) == 1)} {asked}{where}{hint}"
-
-
-def _weigh(part: Part, table: Table, rows: dict[str, list[Row]]) -> Sequence[str]:
-    """Weigh the metrics in one model."""
-    votes = gather_votes(table, metrics=table.metrics)
-    found = fit_votes(votes)
-    keys: Row = {**part.keys, "n": found.n_votes, "interval": CLUSTERED}
-    weights = {"weight": "estimate low high p"}
-    rows["choices_weights"] += list_rows(found.to_frame(), weights, ["term"], **keys)
-    rows["choices_weights"].append(make_row("weight", found.lapse, term="lapses", **keys))
-    return [note for note in found.notes if note not in votes.notes]
 
 
 def _scale(

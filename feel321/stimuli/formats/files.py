@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321 import intake
+from feel321.doors import check_rate
 from feel321.stimuli.formats import tables
-from feel321.stimuli.recording import AXES, check_rate
+from feel321.stimuli.recording import AXES
 from feel321.stimuli.wav import read_wav, read_wav_header
 from feel321.types import Samples
 

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from feel321 import intake
-from feel321.doors import as_path, describe
+from feel321.doors import as_path, check_finite, check_rate, describe
 from feel321.extensions import Method, call, find_method, list_entry_points
 from feel321.files import file_named
 from feel321.stimuli.formats import files
 from feel321.stimuli.formats.tables import Decoded, ReadingOptions, parse_unit, read_table
-from feel321.stimuli.recording import UNITS, Recording, check_finite, check_rate
+from feel321.stimuli.recording import UNITS, Recording
 from feel321.types import PathLike, Samples
 
 MAGIC = {

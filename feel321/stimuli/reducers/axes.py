@@ -43,7 +43,8 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.stimuli.recording import add_squares, admit, check_rate
+from feel321.doors import check_rate
+from feel321.stimuli.recording import add_squares, admit
 from feel321.types import Samples
 
 _OneAxis: TypeAlias = Callable[[ArrayLike, float], Samples]

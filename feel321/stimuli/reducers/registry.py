@@ -21,7 +21,15 @@ from inspect import signature
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.doors import Registry, check_name, describe, name_of
+from feel321.doors import (
+    Registry,
+    check_finite,
+    check_name,
+    check_rate,
+    coerce_real,
+    describe,
+    name_of,
+)
 from feel321.jobs import Workers, as_workers, gather_results
 from feel321.names import REDUCER_NAMES
 from feel321.stimuli.guard import find_reducer
@@ -31,10 +39,7 @@ from feel321.stimuli.recording import (
     Reduced,
     Signal,
     as_signal,
-    check_finite,
-    check_rate,
     coerce_acceleration,
-    coerce_real,
     largest,
 )
 from feel321.stimuli.reducers import axes, bands, fourier

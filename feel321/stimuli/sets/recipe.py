@@ -44,8 +44,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.doors import Registry, as_names, check_name, describe
+from feel321.doors import Registry, as_names, check_name, check_rate, describe
 from feel321.extensions import Method, find_method, is_given
+from feel321.names import ANCHOR_NAMES
 from feel321.stimuli.condition import Conditioning, make_plain
 from feel321.stimuli.match import (
     HIGHEST_HZ,
@@ -56,7 +57,7 @@ from feel321.stimuli.match import (
     energy_spectrum,
     log_grid,
 )
-from feel321.stimuli.recording import Recording, check_rate, largest
+from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.manifest import COLUMNS
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold, loudest_levels
@@ -130,7 +131,7 @@ def mid_anchor(
 
 
 ANCHORS: Registry[Callable[..., Samples]] = Registry(
-    "anchor", {"anchor_low": low_anchor, "anchor_mid": mid_anchor}
+    "anchor", dict(zip(ANCHOR_NAMES, (low_anchor, mid_anchor), strict=True))
 )
 """Name -> anchor, made from a conditioned recording; the names stand in the manifest's column `reducer`."""
 

@@ -52,7 +52,6 @@ from feel321.types import Samples
 PROBE = 0.1  # of the level that limits allow: the first sweep of a coil
 LADDER = (0.125, 0.25, 0.5)  # of the loudest sweep, before it
 MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
-RINGING = 0.01  # of the RMS of a sweep: what may be left at the end of its pause
 MOST_TURNED_DEG = 30.0  # from the direction in rig.toml
 SILENCE_S = 0.5
 TAPS_PERIODS = 12.0  # of the band's lowest frequency: the length of a filter
@@ -136,7 +135,6 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float) ->
     ladder = [sweep(make_quiet(rig, rate_hz=rate_hz, peak=peak))[0] for peak in levels]
     loud = make_main(rig, rate_hz=rate_hz, peak=top)
     main, recorded = sweep(loud)
-    _check_ringing(recorded, period=loud.period, pause_s=loud.pause_s)
     along = (main.direction @ recorded).reshape(loud.n_repeats, loud.period)
     energy = np.abs(fft.rfft(along)) ** 2
     at_hz = fft.rfftfreq(loud.period, 1 / rate_hz)
@@ -325,21 +323,6 @@ def _check_alive(probe: Response, *, pause_s: float) -> None:
         raise ValueError(
             f"pause_s under [calibration] must exceed the latency of {1e3 * probe.latency / probe.rate_hz:.0f} ms, got "
             f"{pause_s:g}; raise it"
-        )
-
-
-def _check_ringing(recorded: Samples, *, period: int, pause_s: float) -> None:
-    """Refuse sweeps at the end of whose pauses the coil is not at rest: its noise there is more than at the rest."""
-    sweeps = recorded.reshape(len(recorded), -1, period)
-    sweeps = sweeps - sweeps.mean(axis=(1, 2), keepdims=True)
-    mean = sweeps.mean(axis=1)  # what is not noise
-    end = mean[:, -period // 50 :]
-    left, noise = (float(np.sqrt(np.mean(one**2))) for one in (end, sweeps - mean[:, np.newaxis]))
-    size = float(np.sqrt(np.mean(mean**2)))
-    if left > RINGING * size + 3 * noise:
-        raise ValueError(
-            f"pause_s under [calibration] must exceed latency and ringing, got {pause_s:g} s, after which "
-            f"{left / size:.0%} of the motion is left; raise it"
         )
 
 

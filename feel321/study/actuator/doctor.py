@@ -158,7 +158,7 @@ def probe_coils(
         rate_hz=rate_hz,
         band_hz=(PROBE_HZ[0], high_hz),
         duration_s=PROBE_S,
-        pause_s=PAUSE_S,
+        pause_s=PAUSE_S + 2 * rig.device.latency_s,  # there and back
         n_repeats=2,
         peak=1.0,
     )

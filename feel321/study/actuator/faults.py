@@ -237,26 +237,25 @@ class Scene:
         follow = np.zeros((len(self.groups), self.n_grid // 2 + 1), dtype=np.complex128)
         lines = np.zeros((len(self.groups), n))
         for row, name in enumerate(self.groups):
-            hats = self._make_hats(self.asked[name, name])
-            both = np.concatenate([hats, columns.T], axis=1)
-            weights = np.linalg.lstsq(both, self.actual[name], rcond=1e-6)[0]
-            follow[row, self._inside] = hats @ weights[: hats.shape[1]]
-            size = weights[hats.shape[1] :]
+            follow[row, self._inside], size = self._follow(name, self.asked[name, name], columns)
             lines[row] = size.real @ np.cos(turns) - size.imag @ np.sin(turns)
         moved = self._directions @ fft.irfft(follow, self.n_grid)[:, :n]
         return measured - moved, self._directions @ lines
 
-    def _make_hats(self, asked: Spectrum) -> Spectrum:
+    def _follow(self, group: str, asked: Spectrum, lines: Spectrum) -> tuple[Spectrum, Spectrum]:
+        """Fit a response that is smooth over frequency, and lines, to a motion: what follows, and the lines' sizes."""
         octaves = np.log2(self.at_hz)
         knots = np.linspace(octaves[0], octaves[-1], round(KNOTS * (octaves[-1] - octaves[0])) + 2)
         hats = np.maximum(1 - np.abs(octaves[:, None] - knots) / (knots[1] - knots[0]), 0)
-        return np.asarray(hats * asked[:, None])
+        columns = np.concatenate([hats * asked[:, None], lines.T], axis=1)
+        weights = np.linalg.lstsq(columns, self.actual[group], rcond=1e-6)[0]
+        n = len(knots)
+        return np.asarray(columns[:, :n] @ weights[:n]), weights[n:]
 
-    def smooth(self, group: str, asked: Spectrum) -> Spectrum:
-        """Return what is left of a motion after a response that is smooth over frequency."""
-        hats = self._make_hats(asked)
-        weights = np.linalg.lstsq(hats, self.actual[group], rcond=1e-6)[0]
-        return np.asarray(self.actual[group] - hats @ weights)
+    def find_rest(self, group: str, asked: Spectrum) -> Spectrum:
+        """Find what of a motion no smooth response explains."""
+        follows, _ = self._follow(group, asked, np.zeros((0, len(asked)), dtype=np.complex128))
+        return np.asarray(self.actual[group] - follows)
 
     def reshape(self, asked: Spectrum, swings: tuple[float, float], fit: Fit) -> Spectrum:
         """Change what is asked of a coil as its resonance and damping changed."""
@@ -368,7 +367,7 @@ class Diagnosis:
             if full.left < BETTER * fit.left:
                 fit = replace(full, lag=full.lag + fit.lag - scene.lag)
                 asked = scene.reshape(asked, self._resonances[name], fit)
-        rest = max(energy(scene.smooth(name, asked)) - noise, 0.0)
+        rest = max(energy(scene.find_rest(name, asked)) - noise, 0.0)
         distortion = math.sqrt(rest / max(moved, TINY))
         return Motion(name, fit, noise, distortion, is_asked, moved > CLEAR**2 * noise)
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321.doors import check_finite
 from feel321.protocols.threshold import ThresholdBlock, name_tone
-from feel321.stimuli.recording import check_finite
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.stimuli.wav import read_wav
 from feel321.study.actuator.certificate import Certificate

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
-from itertools import takewhile
+from itertools import islice, takewhile
 from math import isclose, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -170,22 +170,19 @@ class _Tape:
             raise ValueError(f"{told.event} part {told.part!r} twice at the same time")
         self._played.add(key)
         self._attempt.follow(told)
-        known: dict[str, Any] = {one.name: getattr(told, one.name) for one in fields(events.Played)}
-        return ports.Playback(**known, act=self._find_pause())
+        known: dict[str, Any] = {name: getattr(told, name) for name in _PLAYED}
+        later = self._list_coming()
+        paused = later[1] if len(later) > 1 else None
+        act = ports.Pause(paused.time_s) if isinstance(paused, events.TrialPaused) else None
+        return ports.Playback(**known, act=act)
 
     def prompt(self, part: Part) -> ports.Playback:
         return self.play(part)
 
-    def _find_pause(self) -> ports.Pause | None:
-        """Find whether the participant paused after the playback that comes next."""
-        later = self._list_coming()
-        paused = later[1] if len(later) > 1 else None
-        return ports.Pause(paused.time_s) if isinstance(paused, events.TrialPaused) else None
-
     def _list_coming(self) -> list[events.SessionEvent]:
         """List the playbacks that come next, and what follows on them."""
         coming: list[events.SessionEvent] = []
-        for record in self._paper.truth[len(self._paper.records) :]:
+        for record in islice(self._paper.truth, len(self._paper.records), None):
             if record.event not in _REPAIRS:
                 coming.append(record.content)
                 if not isinstance(coming[-1], events.PartPlayed):
@@ -241,6 +238,7 @@ class _Tape:
 
 
 _REPAIRS = {kind.event for kind in events.REPAIRS}
+_PLAYED = [one.name for one in fields(events.Played)]
 
 
 class _Rerun:

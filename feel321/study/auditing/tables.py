@@ -97,6 +97,9 @@ class Tables:
         for table in tables:
             if study.is_rehearsal or not table.path.is_file():
                 continue
+            derived = list(list_csv(table.columns, table.rows))
+            if table.path.read_bytes() == "".join(derived).encode():
+                continue
             try:
                 with intake.open_text(table.path) as file:
                     reader = csv.DictReader(file)
@@ -104,14 +107,20 @@ class Tables:
             except (ValueError, csv.Error) as error:
                 findings.append(f"{table.path}: cannot be read ({error}); {ANEW}")
                 continue
-            findings += self._compare(table, written, remarks)
+            findings += self._compare(
+                table, list(csv.DictReader(derived)), written, remarks=remarks
+            )
         return findings, remarks
 
     def _compare(
-        self, table: Derived, written: Sequence[tuple[int, Row]], remarks: list[str]
+        self,
+        table: Derived,
+        derived: Sequence[Row],
+        written: Sequence[tuple[int, Row]],
+        *,
+        remarks: list[str],
     ) -> Iterator[str]:
         """Compare row by row; a trial that was rejected comes again, under the same number."""
-        derived: list[Row] = list(csv.DictReader(list_csv(table.columns, table.rows)))
         left: dict[tuple[str, ...], list[Row]] = defaultdict(list)
         for row in derived:
             left[table.name(row)].append(row)

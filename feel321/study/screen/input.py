@@ -1,24 +1,20 @@
-"""Input: keys, clicks and signals, each with its time, and what they mean for the answer on the screen.
+"""What is on the screen in one frame, and what keys and clicks mean for the answer that stands there."""
 
-Python raises what Ctrl-C means wherever it happens to be: in the middle of a record of the journal, or in a callback
-of the window system, where the exception is printed and lost. While a screen is open, the first signal waits until a
-frame is over; the second one does what it does elsewhere, at once.
-"""
-
-import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import count
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
-from feel321.protocols.texts import MOST_LETTERS, Question
+from feel321.protocols.texts import MOST_LETTERS, PageText, Question
 from feel321.protocols.texts import Answer as QuestionAnswer
-from feel321.protocols.trial import RATING_RANGE, Scale, Trial
-from feel321.study.keys import PLAY, USUAL, KeysTable
+from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
+from feel321.stimuli.sets.manifest import Stimulus
+from feel321.study.keys import PLAY, USUAL, KeysTable, label_key, label_keys, label_prompts
 from feel321.study.screen.sheet import Target
-from feel321.study.session.ports import Move
+from feel321.study.session.ports import Move, Place, Scaled, Tone
+
+LAST_PAGE = "end"  # the page after which there is nothing
+LOOP = "⟳"
 
 MOVES = {"left": -1.0, "right": 1.0, "more": 10.0, "less": -10.0}
 """How far actions move a marker, in points."""
@@ -27,36 +23,14 @@ LISTS = frozenset({"rows", "scales"})  # kinds of screens with more than one sli
 ROW_STEPS = {"up": -1, "down": 1}  # how far actions move the selection, in rows
 FAR = frozenset({"up", "down", "more", "less"})  # actions that move far; their keys repeat slowly
 
-ALIASES = {
-    "return": "enter",
-    "page_up": "pageup",
-    "page_down": "pagedown",
-    "add": "plus",
-    "subtract": "minus",
-    "divide": "slash",
-    "decimal": "period",
-}
-
-
-def name_key(symbol: str) -> str:
-    """Name a key, the same on the main block and on the number block."""
-    name = symbol.lower().removeprefix("num_").removeprefix("_")
-    return ALIASES.get(name, name)
-
-
-# What reaches a window.
-
-REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faster
-
 
 @dataclass(frozen=True, slots=True)
 class InputEvent:
     """Something that was done to the window; x, y: pixels from its upper left corner.
 
-    text: letters were typed, which are in key; `backspace` takes one back, again and again while it is held.
-
-    closed: it was closed, or is gone. hidden: it is still there, but nobody sees what is asked. unfocused: keys go to
-    another window from now on; those that are down are released there.
+    text: letters were typed, which are in key; `backspace` takes one back, again and again while it is held. closed: it
+    was closed, or is gone. hidden: it is still there, but nobody sees what is asked. unfocused: keys go to another
+    window from now on; those that are down are released there.
     """
 
     kind: Literal["press", "release", "text", "click", "drag", "closed", "hidden", "unfocused"]
@@ -64,19 +38,6 @@ class InputEvent:
     key: str = ""
     x: float = 0.0
     y: float = 0.0
-
-
-def drop_repeats(events: list[InputEvent]) -> list[InputEvent]:
-    """Leave out the releases and presses that a held key makes up."""
-    kept: list[InputEvent] = []
-    for event in events:
-        last = kept[-1] if kept else event
-        is_pair = (last.kind, event.kind) == ("release", "press") and last.key == event.key
-        if is_pair and event.time_s - last.time_s < REPEAT_S:
-            kept.pop()
-        else:
-            kept.append(event)
-    return kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,41 +49,112 @@ class Request:
     part: str = ""
 
 
-HELD = (signal.SIGINT, signal.SIGTERM)
+@dataclass(frozen=True, slots=True)
+class View:
+    """Everything that is on the screen in one frame.
 
-
-@contextmanager
-def hold_signals() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C and the request to end until the function that this gives is called.
-
-    Outside the main thread, which alone receives signals, nothing is held.
+    kind: "page" to read or to answer, one "slider", "rows" with a slider for each vibration, "scales" with one for each
+    scale, or a "choice" between parts; state: "reading" a page, "feeling" a vibration or awaiting it, "stroking" the
+    real surface, "answering". Of a question that is answered, its name is in felt.
     """
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: None
-        return
-    before: dict[int, Any] = {
-        number: signal.getsignal(number) for number in HELD if callable(signal.getsignal(number))
-    }
-    numbers, waiting = count(), list[int]()
 
-    def hold(number: int, frame: object) -> None:
-        if next(numbers) == 0:
-            waiting.append(number)
-        else:
-            before[number](number, frame)
+    kind: str
+    state: str
+    screen: int
+    place: Place
+    page: Page | None = None
+    question: Question | None = None
+    trial: Trial | None = None
+    scale: Scale | None = None
+    playing: str = ""
+    felt: frozenset[str] = frozenset()
+    markers: Mapping[str, float] = field(default_factory=dict)
+    selected: str = ""
+    chosen: str = ""
+    typed: str = ""
+    loops: bool = False
+    left_s: int = 0
+    notice: str = ""
+    picture: Path | None = None
+    sample: str = ""
 
-    def deliver() -> None:
-        if waiting:
-            number = waiting.pop()
-            before[number](number, None)
+    @property
+    def has_felt_all(self) -> bool:
+        """Whether every part of a trial was felt to its end."""
+        parts = self.trial.parts if self.trial else ()
+        return self.trial is not None and self.felt.issuperset(part.name for part in parts)
 
-    for number in before:
-        signal.signal(number, hold)
-    try:
-        yield deliver
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    @property
+    def can_answer(self) -> bool:
+        """Whether the answer can be changed: once all was felt, or at once where parts are felt at will."""
+        if self.trial is None:
+            return False
+        return self.state == "answering" or self.trial.timing == "free" or self.has_felt_all
+
+    def can_rate(self, part: str) -> bool:
+        """Whether a part's own marker can be moved: where each part has one, once it was felt to its end."""
+        return self.can_answer and (self.kind != "rows" or part in self.felt)
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all was felt and all is answered."""
+        if self.trial is None or not self.has_felt_all:
+            return False
+        return bool(self.chosen) or self.markers.keys() >= set(self.trial.judged)
+
+    @property
+    def can_leave(self) -> bool:
+        """Whether there is anything to pause or to end: not on the last page."""
+        return self.page is None or self.page.key != LAST_PAGE
+
+
+class Hand:
+    """Watches the screen frame by frame and may press keys; this one does nothing."""
+
+    def watch(self, view: View) -> None:
+        """Look at what is on the screen."""
+
+    def feel(self, part: Part, stimulus: Stimulus | Tone | Scaled) -> None:
+        """Feel what is played."""
+
+
+@dataclass(frozen=True, slots=True)
+class ScreenTexts:
+    """What participants read besides the scales, in their language; keys: what they do, in words and as they are.
+
+    questions: words on question pages.
+    """
+
+    pages: Mapping[str, PageText]
+    refusals: Mapping[str, str]
+    prompts: Mapping[str, str]
+    parts: Mapping[str, str]
+    keys: Mapping[str, str]
+    own_keys: KeysTable = USUAL
+    questions: Mapping[str, str] = field(default_factory=dict)
+
+    def name_part(self, name: str) -> str:
+        """Find the word for a part."""
+        return self.parts.get(name, name)
+
+    def explain(self, reason: str, parts: Sequence[str], trial: Trial | None) -> str:
+        """Explain why an act was not accepted; where there are several scales, they are numbered."""
+        has_scales = trial is not None and any(judgement.scale for judgement in trial.judgements)
+        if trial is not None and has_scales and reason == "not_answered":
+            parts = [str(trial.judged.index(part) + 1) for part in parts]
+        return self.refusals[reason].format(parts=", ".join(map(self.name_part, parts)))
+
+
+def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> ScreenTexts:
+    """Pick the screen's texts from those of a language, with the names of the lab's own keys."""
+    pages = {key: PageText(key, **entry) for key, entry in tables["pages"].items()}
+    lines, asked = tables["keys"], tables["questions"]["prompts"]
+    prompts = label_prompts(keys, tables["prompts"], lines)
+    labelled = label_keys(keys, lines)
+    labelled["confirm_typed"] = lines["confirm"]  # Enter, whatever key confirms elsewhere
+    labelled["loop"] = f"{label_key(keys.loop[0], {})}  {LOOP}"
+    refusals = {**tables["refusals"], **asked}
+    return ScreenTexts(pages, refusals, prompts, tables["parts"], labelled, keys, asked)
 
 
 # The answer to a trial while the participant works on it.
@@ -149,7 +181,7 @@ def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEED
 
 
 class Answer:
-    """Markers and choices of one trial, and what keys and clicks do to them."""
+    """Markers and choices of one trial, and what keys and clicks do to them; typed: digits that are no value yet."""
 
     def __init__(self, trial: Trial, scale: Scale, keys: KeysTable = USUAL) -> None:
         self.kind = "rows" if trial.timing == "free" else "slider"
@@ -157,9 +189,7 @@ class Answer:
         self.rated = trial.judged
         self.markers: dict[str, float] = {}
         self.selected = self.rated[0]
-        self.chosen = ""
-        self.typed = ""
-        """Digits that have not become a value yet."""
+        self.chosen = self.typed = ""
         self.felt: frozenset[str] = frozenset()
         self.loops = False
         self._parts = [part.name for part in trial.parts]
@@ -352,21 +382,16 @@ class Form:
         is_choice = bool(self.question.choices)
         if event.kind == "click" and target is not None and target.name == "choose":
             self.chosen = target.part
-        elif event.kind == "text" and not is_choice:
-            self._type(event.key)
         elif event.kind == "press" and is_choice:
             self._choose(event.key)
-
-    def _type(self, letters: str) -> None:
-        if letters == BACKSPACE:
+        elif event.kind == "text" and event.key == BACKSPACE:
             self.typed = self.typed[:-1]
-            return
-        is_number = self.question.kind == "number"
-        allowed = [
-            one for one in letters if one.isprintable() and (not is_number or one in NUMBER_SIGNS)
-        ]
-        most = MOST_DIGITS if is_number else MOST_LETTERS
-        self.typed = (self.typed + "".join(allowed))[:most]
+        elif event.kind == "text" and not is_choice:
+            is_number = self.question.kind == "number"
+            letters = [one for one in event.key if one.isprintable()]
+            letters = [one for one in letters if not is_number or one in NUMBER_SIGNS]
+            most = MOST_DIGITS if is_number else MOST_LETTERS
+            self.typed = (self.typed + "".join(letters))[:most]
 
     def _choose(self, key: str) -> None:
         last = len(self.question.choices) - 1

@@ -1,15 +1,14 @@
-"""Screens as pure geometry: a view in, boxes of pixels out; pages, questions, and texts that are too long."""
+"""Screens as pure geometry: a view in, boxes of pixels out; pages, questions, trials, and texts that are too long."""
 
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from feel321.protocols.texts import MOST_LETTERS, Question
-from feel321.protocols.trial import Judgement, Page, Part, Scale, Trial
+from feel321.protocols.trial import RATING_RANGE, Judgement, Page, Part, Scale, Trial
 from feel321.study.keys import label_key
 from feel321.study.screen import sheet as ui
-from feel321.study.screen.sheet import Box, Button, Sheet, split_key
-from feel321.study.screen.trials import add_trial
-from feel321.study.screen.view import ScreenTexts, View
+from feel321.study.screen.input import LOOP, ScreenTexts, View
+from feel321.study.screen.sheet import GROUND, INK, Box, Button, Photo, Sheet, Target, split_key
 from feel321.study.session.ports import Place
 
 COLUMN = 108.0  # width of texts and options, in units: some 65 letters
@@ -17,16 +16,39 @@ COLUMN = 108.0  # width of texts and options, in units: some 65 letters
 TEXT_SIZES = (1.1 * ui.BODY, ui.BODY, ui.SMALL)
 """Sizes of a page's text in units, the first that fits; below the last nobody could read it at 1 m."""
 
-CHOSEN, OPEN = "●", "○"
-"""Marks of the options, which colour alone must not tell apart."""
+CHOSEN, OPEN, FELT = "●", "○", "✓"
+"""Marks of options and of what was felt, which colour alone must not tell apart."""
 
 FIELD = 40.0  # width of the field of a number, in units
-ROW, POINT = 6.6, 15.0  # heights of an option and of a Likert point, in units
+ROW, POINT = 6.6, 15.0  # heights of an option or a row, and of a Likert point, in units
 POINT_LINES = 3  # most lines of the word of a point
 ENDS = 2  # words of a Likert item that names no other point
 
 TIGHTEST = (1920, 1080)
 """The screen that has the least room for its letters: as wide as it needs to be, and no higher."""
+
+BLOCK, BLOCK_TRACK, LEAST_PICTURE = 15.0, 4.0, 12.0
+"""Heights, in units, of a slider where a trial has several, of its track, and of the least picture beside them."""
+
+MARGIN, VALUE = 2.5, 9.0
+"""Widths, in units, of what is free left of such a slider, and of the number at its right."""
+
+SOON_S = 3  # from when on the time that is left for an answer stands out
+
+HINTS = {
+    "slider": ("move", "coarse_rows", "digits"),
+    "rows": ("feel", "loop", "choose", "move", "coarse_rows"),
+    "scales": ("move", "coarse_rows", "digits"),
+    "choice": ("pick",),
+}
+"""The keys that have no button, by kind of screen."""
+
+BELOW = 1.5  # free space under a picture, in units
+ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
+"""Heights of what stands over a slider's track, of the track, and of what is free under it, in units."""
+
+LABEL = 0.45  # largest width of a slider's label, as a share of the track
+QUESTION_LINES, LABEL_LINES = 3, 2
 
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
@@ -45,8 +67,8 @@ def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
         _add_question(sheet, view, view.question, texts=texts)
     elif view.page is not None:
         _add_page(sheet, view, view.page, texts=texts)
-    elif view.trial is not None:
-        add_trial(sheet, view, texts)
+    elif view.trial is not None and view.scale is not None:
+        _TrialLayout(sheet, view, texts, view.trial, view.scale).add()
     return sheet
 
 
@@ -64,10 +86,10 @@ def _add_notice(sheet: Sheet, words: str) -> None:
 
 
 def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> None:
-    """Set title and text as a column, smaller where it is long, over the buttons."""
+    """Set title and text as a column, smaller where it is long, over the buttons and what to press."""
     text, body = texts.pages[page.key], sheet.find_strip("body")
     # Not by `format`: a lab's own consent may hold braces of its own.
-    words = text.text.replace("{done}", str(view.place.done))
+    words = text.text.replace("{answered}", str(view.place.answered))
     paragraphs = words.replace("{total}", str(view.place.total)).strip().splitlines()
     column = _find_column(sheet)
     heading = sheet.wrap(text.title, column.width, ui.TITLE, bold=True)
@@ -97,19 +119,20 @@ def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
         # The number stands where the key's name will: a key that does nothing yet is not named.
         key = f"{texts.prompts['wait'].format(seconds=view.left_s)}  {split_key(key)[1]}"
         share = max(1 - view.left_s / page.least_s, 0.0) if page.least_s else 0.0
+    else:
+        strip = sheet.find_strip("hints")
+        sheet.write(strip, texts.prompts["go_on"], ui.BODY, align="center")
     go_on = Button(key, "confirm", is_main=True, is_ready=not view.left_s, share=share)
     sheet.add_buttons(leave, [go_on])
 
 
 def _find_column(sheet: Sheet) -> Box:
-    """Find the column of a page's text, without a height."""
     body = sheet.find_strip("body")
     width = min(COLUMN * sheet.unit, body.width)
     return Box((sheet.width - width) / 2, body.top, width, 0)
 
 
 def _limit_height(sheet: Sheet, height: float) -> None:
-    """Note what takes more than the body of a screen."""
     screens = height / sheet.find_strip("body").height
     if screens > 1 + 1e-9:
         sheet.faults.append(f"it must fit on one screen, got {screens:.1f} screens; shorten it")
@@ -119,15 +142,19 @@ def _limit_height(sheet: Sheet, height: float) -> None:
 
 
 def _add_question(sheet: Sheet, view: View, question: Question, *, texts: ScreenTexts) -> None:
-    """Set the question, what is answered under it, and the buttons."""
     body, unit, column = sheet.find_strip("body"), sheet.unit, _find_column(sheet)
     if question.kind == "likert":
         column = Box(body.left, body.top, body.width, 0)
     lines = sheet.wrap(question.question, column.width, ui.QUESTION, bold=True)
     height = sheet.find_height(len(lines), ui.QUESTION) + 3 * unit
-    needed = height + _find_height(sheet, question, column.width)
-    _limit_height(sheet, needed)
-    top = body.top + max(0.0, body.height - needed) * 0.4
+    needed = (len(question.options) or 1.5) * ROW * unit
+    if question.kind == "likert":
+        needed = POINT * unit + sheet.find_height(POINT_LINES, ui.SMALL)
+    elif question.kind == "text":
+        letters = sheet.measure("n" * MOST_LETTERS, ui.BODY)
+        needed = sheet.find_height(letters // (column.width - 6 * unit) + 2, ui.BODY)
+    _limit_height(sheet, height + needed)
+    top = body.top + max(0.0, body.height - height - needed) * 0.4
     sheet.write(replace(column, top=top), lines, ui.QUESTION, bold=True)
     box = Box(column.left, top + height, column.width, body.bottom - top - height)
     if question.kind == "likert":
@@ -137,7 +164,7 @@ def _add_question(sheet: Sheet, view: View, question: Question, *, texts: Screen
     elif question.kind == "number":
         _add_number(sheet, view, question, box=box)
     else:
-        _add_letters(sheet, view, replace(box, height=needed - height))
+        _add_letters(sheet, view, replace(box, height=needed))
     if not question.required:
         optional = texts.questions["optional"]
         sheet.write(sheet.find_strip("top"), optional, ui.SMALL, color=ui.DIM)
@@ -148,19 +175,7 @@ def _add_question(sheet: Sheet, view: View, question: Question, *, texts: Screen
     sheet.add_hints([*_list_hints(question, texts)])
 
 
-def _find_height(sheet: Sheet, question: Question, width: float) -> float:
-    """Find the height of what is answered, in pixels."""
-    unit = sheet.unit
-    if question.kind == "likert":
-        return POINT * unit + sheet.find_height(POINT_LINES, ui.SMALL)
-    if question.kind == "text":
-        letters = sheet.measure("n" * MOST_LETTERS, ui.BODY)
-        return sheet.find_height(letters // (width - 6 * unit) + 2, ui.BODY)
-    return (len(question.options) or 1.5) * ROW * unit
-
-
 def _add_options(sheet: Sheet, view: View, question: Question, *, box: Box) -> None:
-    """Set the options under each other; what was chosen is filled and marked."""
     unit = sheet.unit
     row = min(ROW * unit, box.height / len(question.options))
     for place, option in enumerate(question.options):
@@ -226,7 +241,6 @@ def _add_letters(sheet: Sheet, view: View, field: Box) -> None:
 
 
 def _list_hints(question: Question, texts: ScreenTexts) -> Iterator[str]:
-    """List the keys that have no button."""
     prompts, keys = texts.questions, texts.own_keys
     if not question.choices:
         yield f"0–9 {'. -' if question.kind == 'number' else 'A–Z'}  {prompts['type']}"
@@ -237,6 +251,322 @@ def _list_hints(question: Question, texts: ScreenTexts) -> Iterator[str]:
     yield f"{arrows}  {prompts['pick']}"
     if keys.type_values:
         yield f"1–{len(question.choices)}  {prompts['pick']}"
+
+
+# Trials.
+
+
+@dataclass(frozen=True, slots=True)
+class _TrialLayout:
+    """Puts on a sheet what is felt in a trial, what is asked, and where it is answered."""
+
+    sheet: Sheet
+    view: View
+    texts: ScreenTexts
+    trial: Trial
+    scale: Scale
+
+    def add(self) -> None:
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        body, top = sheet.find_strip("body"), sheet.find_strip("body").top
+        is_rows, is_stroking = view.kind == "rows", view.state == "stroking"
+        if not is_rows:
+            self.add_parts(top)
+            top += 10.5 * unit
+        if view.kind == "scales" and not is_stroking:
+            self.add_scales(Box(body.left, top, body.width, body.bottom - top))
+        else:
+            top = self.add_question(top)
+            box = Box(body.left, top, body.width, body.bottom - top)
+            if is_rows:
+                self.add_rows(box)
+            elif view.kind == "slider":
+                self.add_slider(box)
+            elif view.kind == "choice":
+                self.add_choices(box)
+        self.add_keys()
+        if view.state == "answering" and view.left_s:
+            color = ui.ORANGE if view.left_s <= SOON_S else ui.DIM
+            sheet.write(sheet.find_strip("top"), f"{view.left_s} s", ui.SMALL, color=color)
+
+    def add_question(self, top: float) -> float:
+        """Add what is asked, and the picture of the surface; returns where they end."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        body, is_rows, question = sheet.find_strip("body"), view.kind == "rows", self.scale.question
+        if view.state == "stroking":
+            prompt = self.texts.prompts["surface" if view.sample else "surface_unnamed"]
+            question = prompt.format(sample=view.sample)
+        lines = sheet.wrap(question, body.width, ui.QUESTION, bold=True)
+        box = Box(body.left, top, body.width, 0)
+        sheet.write(box, lines, ui.QUESTION, bold=True, align="center")
+        sheet.limit_lines(len(lines), most=QUESTION_LINES, what="question")
+        top += sheet.find_height(len(lines), ui.QUESTION)
+        top += (1.5 if is_rows else 3.0) * unit
+        if view.picture and not is_rows:
+            below = self.find_slider_height() if view.kind == "slider" else 0.0
+            room = body.bottom - top
+            height = max(room - below - BELOW * unit, room / 3)
+            sheet.items.append(Photo(Box(body.left, top, body.width, height), view.picture))
+            top += height + BELOW * unit
+        return top
+
+    def add_keys(self) -> None:
+        keys, view = self.texts.keys, self.view
+        is_open = view.state == "answering" or view.loops
+        is_ready = view.state == "stroking" or (is_open and view.is_done)
+        right = [
+            Button(keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=is_open)
+        ]
+        if view.state == "feeling":
+            right.insert(0, Button(keys["stop"], "stop"))
+        elif self.trial.timing != "strict":
+            right.insert(0, Button(keys["again"], "again", is_ready=view.state == "answering"))
+        self.sheet.add_buttons([Button(keys["pause"], "pause")], right)
+        if view.can_answer:
+            hints = [keys[key] for key in HINTS[view.kind]]
+            if view.kind == "scales":
+                arrows = keys["choose"].partition("  ")[0]
+                hints.insert(0, f"{arrows}  {self.texts.questions['pick']}")
+            self.sheet.add_hints(hints)
+
+    # What is felt.
+
+    def add_parts(self, top: float) -> None:
+        sheet, unit = self.sheet, self.sheet.unit
+        # A reference that is stroked is called by what it is.
+        names = {
+            part.name: self.texts.name_part("surface" if part.surface else part.name)
+            for part in self.trial.parts
+        }
+        # Wide enough that a tick stands apart from the name, which stays in the middle.
+        width = max(sheet.measure(name, ui.BODY, bold=True) for name in names.values()) + 14 * unit
+        left = (sheet.width - len(names) * width - (len(names) - 1) * 2 * unit) / 2
+        can_feel = self.view.state == "answering" and self.trial.timing != "strict"
+        for part, name in names.items():
+            box = Box(left, top, width, 7 * unit)
+            self.add_part(box, part, name, size=ui.BODY)
+            if can_feel:
+                sheet.targets.append(Target(box, "feel", part))
+            left += width + 2 * unit
+
+    def add_part(self, box: Box, part: str, name: str, *, size: float) -> None:
+        """Draw a part: filled while it is on, ticked once it was felt."""
+        sheet, size_px = self.sheet, size * self.sheet.unit
+        is_on, is_felt = part == self.view.playing, part in self.view.felt
+        ink = GROUND if is_on else INK if is_felt else ui.DIM
+        tick = sheet.measure(FELT, size, bold=True)
+        fill, line = (ui.BLUE, "") if is_on else (ui.PANEL, ui.LINE)
+        sheet.fill(box, fill, line=line, round_px=size_px / 2.5, line_px=size_px / 12)
+        inner = Box(box.left + 1.6 * tick, box.top, box.width - 3.2 * tick, box.height)
+        sheet.write(inner, name, size, color=ink, bold=True, align="center")
+        if self.view.loops and is_on:
+            left = Box(box.left + 0.5 * tick, box.top, tick, box.height)
+            sheet.write(left, LOOP, size, color=ink, bold=True)
+        if is_felt:
+            right = Box(box.right - 1.5 * tick, box.top, tick, box.height)
+            sheet.write(right, FELT, size, color=ink, bold=True)
+
+    # What is answered.
+
+    def add_track(self, track: Box, value: float | None, *, is_ready: bool, color: str) -> None:
+        """Draw a line with ends, of whose places no other stands out, and the marker if there is one."""
+        sheet, (low, high) = self.sheet, RATING_RANGE
+        ink = ui.DIM if is_ready else ui.LINE
+        thick = max(2.0, 0.45 * sheet.unit)
+        middle = track.top + track.height / 2
+        sheet.fill(Box(track.left, middle - thick / 2, track.width, thick), ink)
+        top, height = track.top + track.height * 0.15, track.height * 0.7
+        for x in (track.left, track.right):
+            sheet.fill(Box(x - thick / 2, top, thick, height), ink)
+        if value is not None:
+            x = track.left + (value - low) / (high - low) * track.width
+            width = track.height * 0.36
+            box = Box(x - width / 2, track.top, width, track.height)
+            sheet.fill(box, color, round_px=width / 2)
+
+    def find_slider_width(self) -> float:
+        return min(110 * self.sheet.unit, self.sheet.find_strip("body").width - 8 * self.sheet.unit)
+
+    def wrap_labels(self) -> list[list[str]]:
+        width, scale = LABEL * self.find_slider_width(), self.scale
+        labels = (scale.low_label, scale.high_label)
+        return [self.sheet.wrap(label, width, ui.BODY) for label in labels]
+
+    def find_slider_height(self) -> float:
+        """Compute the height of a slider with the number over it and the words under it, in pixels."""
+        lines = 1 + bool(self.scale.anchors) + max(map(len, self.wrap_labels()))
+        return (ABOVE + TRACK + UNDER) * self.sheet.unit + self.sheet.find_height(lines, ui.BODY)
+
+    def add_slider(self, box: Box) -> None:
+        """Set one slider with its number over it; they and the labels together stand in the middle of the box."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        part, width = self.trial.judgements[0].part, self.find_slider_width()
+        top = box.top + max(0.0, box.height - self.find_slider_height()) / 2
+        track = Box((sheet.width - width) / 2, top + ABOVE * unit, width, TRACK * unit)
+        is_ready, value = view.can_answer, view.markers.get(part)
+        self.label_ends(track)
+        if view.typed or value is not None:
+            is_typing = bool(view.typed) or value is None
+            at = 0.5 if is_typing or value is None else value / RATING_RANGE[1]
+            words = f"{view.typed}_" if is_typing else f"{value:.0f}"
+            number, size = sheet.measure("100_", ui.QUESTION, bold=True), ui.QUESTION * unit
+            left = track.left + at * track.width - number / 2
+            over = Box(left, track.top - 1.9 * size, number, sheet.find_height(1, ui.QUESTION))
+            sheet.write(over, words, ui.QUESTION, bold=True, align="center")
+        self.add_track(track, value, is_ready=is_ready, color=ui.BLUE if is_ready else ui.LINE)
+        if is_ready:
+            sheet.targets.append(Target(track.grow(2 * unit), "mark", part, track))
+
+    def label_ends(self, track: Box) -> None:
+        """Write the numbers and words of both ends under the track, and over them what stands in between."""
+        sheet, scale = self.sheet, self.scale
+        step, top = sheet.find_height(1, ui.BODY), track.bottom + UNDER * sheet.unit
+        if scale.anchors:
+            self.write_along(track, top, scale.anchors)
+            top += step
+        width = LABEL * track.width
+        ends = (("left", track.left), ("right", track.right - width))
+        for number, lines, (align, left) in zip(
+            RATING_RANGE, self.wrap_labels(), ends, strict=True
+        ):
+            box = Box(left, top, width, step)
+            sheet.write(box, f"{number:.0f}", ui.SMALL, color=ui.DIM, align=align)
+            sheet.write(Box(left, top + step, width, step), lines, ui.BODY, align=align)
+            sheet.limit_lines(len(lines), most=LABEL_LINES, what="longer label")
+
+    def write_along(self, track: Box, top: float, words: Sequence[str]) -> None:
+        sheet, last = self.sheet, max(len(words) - 1, 1)
+        for place, word in enumerate(words):
+            width = sheet.measure(word, ui.SMALL)
+            share = place / last if len(words) > 1 else 0.5
+            left = track.left + share * track.width - width / 2
+            box = Box(left, top, width, sheet.find_height(1, ui.SMALL))
+            sheet.write(box, word, ui.SMALL, color=ui.DIM, align="center")
+
+    def add_choices(self, box: Box) -> None:
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        count, names = len(self.scale.choices), map(self.texts.name_part, self.scale.choices)
+        widest = max(sheet.measure(name, 2 * ui.QUESTION, bold=True) for name in names)
+        width, height = max(34 * unit, widest + 6 * unit), min(22 * unit, box.height)
+        gap = 8 * unit
+        left = (sheet.width - count * width - (count - 1) * gap) / 2
+        top = box.top + (box.height - height) / 2
+        for place, name in enumerate(self.scale.choices):
+            field = Box(left + place * (width + gap), top, width, height)
+            is_chosen = name == view.chosen
+            ink = GROUND if is_chosen else INK if view.can_answer else ui.DIM
+            fill = ui.BLUE if is_chosen else ui.PANEL
+            sheet.fill(field, fill, line=ui.LINE, round_px=2 * unit, line_px=0.3 * unit)
+            words = self.texts.name_part(name)
+            sheet.write(field, words, 2 * ui.QUESTION, color=ink, bold=True, align="center")
+            if view.can_answer:
+                sheet.targets.append(Target(field, "choose", name))
+
+    def add_rows(self, box: Box) -> None:
+        """Set the reference beside the words of the scale, and under them a row for each vibration."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        rated = [judgement.part for judgement in self.trial.judgements]
+        names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}
+        width = max(sheet.measure(name, ui.SMALL, bold=True) for name in names.values()) + 9 * unit
+        step = sheet.find_height(1, ui.SMALL)
+        left, head = box.left + width + 6 * unit, 2 * step + 1.2 * unit
+        row = min(ROW * unit, (box.height - head) / len(rated))
+        height = head - step + len(rated) * row
+        grid = Box(left, box.top + step, box.right - 11 * unit - left, height)
+        low = Box(left, box.top, grid.width / 2, step)
+        sheet.write(low, self.scale.low_label, ui.SMALL)
+        high = Box(low.right, box.top, low.width, step)
+        sheet.write(high, self.scale.high_label, ui.SMALL, align="right")
+        self.add_bands(grid)
+        spots = {
+            name: Box(box.left, box.top, width, 2 * step) for name in names if name not in rated
+        }
+        for place, name in enumerate(rated):
+            line = Box(box.left, box.top + head + place * row, box.width, row)
+            track = Box(left, line.top + 0.14 * row, grid.width, 0.72 * row)
+            self.add_row(name, line, track)
+            if view.can_rate(name):
+                target = Box(left - 2 * unit, line.top, grid.width + 4 * unit, row)
+                sheet.targets.append(Target(target, "mark", name, track))
+            spots[name] = Box(box.left + unit, line.top + 0.04 * row, width - unit, 0.92 * row)
+        for name, spot in spots.items():
+            self.add_part(spot, name, names[name], size=ui.SMALL)
+            sheet.targets.append(Target(spot, "feel", name))
+
+    def add_bands(self, grid: Box) -> None:
+        """Cut a list of sliders into equal bands, each with its word above: ITU-R BS.1534-3, attachment 1."""
+        sheet, unit, count = self.sheet, self.sheet.unit, len(self.scale.anchors)
+        height = sheet.find_height(1, ui.SMALL)
+        for place, word in enumerate(self.scale.anchors):
+            band = Box(grid.left + place * grid.width / count, grid.top, grid.width / count, height)
+            sheet.write(band, word, ui.SMALL, color=ui.DIM, align="center")
+            if place:
+                line = Box(band.left - 0.1 * unit, grid.top, 0.2 * unit, grid.height)
+                sheet.fill(line, ui.LINE)
+
+    def add_row(self, name: str, line: Box, track: Box) -> None:
+        sheet, unit = self.sheet, self.sheet.unit
+        is_selected, value = name == self.view.selected, self.view.markers.get(name)
+        if is_selected:
+            sheet.fill(line, "", line=ui.LINE, line_px=0.2 * unit)
+            sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), ui.BLUE)
+        color = ui.BLUE if is_selected else INK
+        self.add_track(track, value, is_ready=self.view.can_rate(name), color=color)
+        if value is not None:
+            width = line.right - track.right - 4 * unit
+            box = Box(track.right + 3 * unit, line.top, width, line.height)
+            sheet.write(box, f"{value:.0f}", ui.BODY, bold=True, align="right")
+
+    def add_scales(self, box: Box) -> None:
+        """Set the sliders of several scales under each other, each with its question above and its ends below."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        keys = self.trial.judged
+        height = min(19 * unit, box.height / len(keys))
+        top = box.top + (box.height - height * len(keys)) / 2
+        room = box.height - BLOCK * unit * len(keys) - BELOW * unit
+        if view.picture and room >= LEAST_PICTURE * unit:
+            height = BLOCK * unit
+            sheet.items.append(Photo(Box(box.left, box.top, box.width, room), view.picture))
+            top = box.top + room + BELOW * unit
+        for place, (key, judgement) in enumerate(zip(keys, self.trial.judgements, strict=True)):
+            scale = self.scale.find(judgement.scale)
+            line = Box(box.left, top + place * height, box.width, height)
+            self.add_scale(key, scale, line, number=place + 1)
+
+    def add_scale(self, key: str, scale: Scale, line: Box, *, number: int) -> None:
+        """Draw one of several sliders, with its number, its question and its ends, as large as where there is one."""
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        is_selected, value = key == view.selected, view.markers.get(key)
+        left, width = line.left + MARGIN * unit, line.width - (2 * MARGIN + VALUE) * unit
+        head = Box(left, line.top, width, sheet.find_height(1, ui.BODY))
+        ink = INK if view.can_answer else ui.DIM
+        sheet.write(head, f"{number}  {scale.question}", ui.BODY, color=ink, bold=True)
+        track = Box(left, head.bottom + 0.4 * unit, width, BLOCK_TRACK * unit)
+        if is_selected:
+            sheet.fill(Box(line.left, head.top, 0.8 * unit, track.bottom - head.top), ui.BLUE)
+        color = ui.BLUE if is_selected else INK
+        self.add_track(track, value, is_ready=view.can_answer, color=color)
+        words = "" if value is None else f"{value:.0f}"
+        words = f"{view.typed}_" if view.typed and is_selected else words
+        beside = Box(track.right + unit, track.top, (MARGIN + VALUE - 1) * unit, track.height)
+        sheet.write(beside, words, ui.BODY, bold=True, align="right")
+        top, step = track.bottom + 0.2 * unit, head.height
+        low = Box(left, top, LABEL * width, step)
+        high = Box(track.right - low.width, top, low.width, step)
+        sheet.write(low, scale.low_label, ui.BODY)
+        sheet.write(high, scale.high_label, ui.BODY, align="right")
+        # Its words stand between the ends; the first and the last say what the labels do.
+        ends = {scale.low_label: low.left, scale.high_label: high.right}
+        free = width - 2 * max(sheet.measure(label, ui.BODY) for label in ends)
+        middle = scale.anchors[1:-1]
+        if middle:
+            room = Box(left + (width - free) / 2, top, free, step)
+            self.write_along(track, top, ["", *middle, ""])
+            if sheet.measure("  ".join(middle), ui.SMALL) > room.width:
+                sheet.faults.append("its anchors must fit between its labels; shorten them")
+        if view.can_answer:
+            target = Box(left - unit, head.top, width + 2 * unit, top + step - head.top)
+            sheet.targets.append(Target(target, "mark", key, track))
 
 
 # Texts that are too long.
@@ -250,27 +580,21 @@ def find_overflows(
     together: Collection[str] = (),
 ) -> list[str]:
     """Find texts that are too long for a screen; together: names of scales that share one."""
-    views = {
-        f"page {key!r}": View("page", "reading", 0, Place(999, 999), page=Page(key))
-        for key in texts.pages
-    }
-    views |= {f"scale {one.name!r}": _show_scale(one, together=together) for one in scales}
-    views |= {
-        f"question {one.name!r}": View(
-            "page", "reading", 0, Place(0, 0), page=Page(one.key), question=one
-        )
-        for one in questions
-    }
+    place, views = Place(999, 999), dict[str, View]()
+    for key in texts.pages:
+        views[f"page {key!r}"] = View("page", "reading", 0, place, page=Page(key))
+    for scale in scales:
+        parts, asked = (Part("test", ""),), (Judgement("test", "", scale=scale.name),)
+        trial = Trial(0, 0, 0, "", "", "replay", "", parts, asked)
+        kind = "scales" if scale.name in together else "slider"
+        kind = "choice" if scale.choices else kind
+        view = View(kind, "answering", 0, Place(0, 0), trial=trial, scale=scale)
+        views[f"scale {scale.name!r}"] = view
+    for one in questions:
+        view = View("page", "reading", 0, Place(0, 0), page=Page(one.key), question=one)
+        views[f"question {one.name!r}"] = view
     return [
         f"{name}: {fault}"
         for name, view in views.items()
         for fault in dict.fromkeys(compose(view, texts, size=TIGHTEST).faults)
     ]
-
-
-def _show_scale(scale: Scale, *, together: Collection[str]) -> View:
-    """Show a trial that is answered on a scale, alone or as one of several."""
-    parts, judgements = (Part("test", ""),), (Judgement("test", "", scale=scale.name),)
-    trial = Trial(0, 0, 0, "", "", "replay", "", parts, judgements)
-    kind = "choice" if scale.choices else "scales" if scale.name in together else "slider"
-    return View(kind, "answering", 0, Place(0, 0), trial=trial, scale=scale)

@@ -12,10 +12,9 @@ from feel321.protocols.texts import Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.actuator.output import Output
-from feel321.study.screen.input import Answer, Form, InputEvent, Request
+from feel321.study.screen.input import Answer, Form, Hand, InputEvent, Request, ScreenTexts, View
 from feel321.study.screen.layout import compose
 from feel321.study.screen.sheet import Sheet
-from feel321.study.screen.view import Hand, ScreenTexts, View
 from feel321.study.screen.window import Window
 from feel321.study.session.ports import (
     Abort,

@@ -14,8 +14,7 @@ from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import KEY_NAMES, PLAY, USUAL, KeysTable
 from feel321.study.observer.model import Experience
 from feel321.study.observer.simulated import Participant, feel_level
-from feel321.study.screen.input import ENTER, LISTS, MOVES, ROW_STEPS
-from feel321.study.screen.view import Hand, View
+from feel321.study.screen.input import ENTER, LISTS, MOVES, ROW_STEPS, Hand, View
 from feel321.study.session.ports import Scaled, Tone
 
 KEYSYMS = {name: name for name in KEY_NAMES[-10:]} | {

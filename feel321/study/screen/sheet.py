@@ -258,15 +258,6 @@ class Sheet:
                 short = line if len(line) <= SHOWN else f"{line[:SHOWN]}..."
                 self.faults.append(f"got {short!r}, which is too long for its place; shorten it")
 
-    def write_lines(
-        self, box: Box, words: str, size: float, *, most: int, what: str, align: str = "center"
-    ) -> float:
-        """Write a bold text in lines from the top of a box; returns their height in pixels."""
-        lines = self.wrap(words, box.width, size, bold=True)
-        self.write(box, lines, size, bold=True, align=align)
-        self.limit_lines(len(lines), most=most, what=what)
-        return self.find_height(len(lines), size)
-
     def limit_lines(self, count: int, *, most: int, what: str) -> None:
         """Note a text that takes too many lines."""
         if count > most:

@@ -1,4 +1,4 @@
-"""The window that PsychoPy opens. The only module that knows PsychoPy.
+"""The window that PsychoPy opens, and the keys, clicks and signals that reach it. The only module that knows PsychoPy.
 
 PsychoPy is imported when a window is opened: that takes one to two seconds from a warm disk and up to eight from a
 cold one. Only its window, text, polygons and pictures are used; its Slider cannot be moved by keys.
@@ -7,16 +7,23 @@ Keys are read from the window's own events. PsychoPy's Keyboard stamps them more
 themselves, but so it also receives what is typed into any other window: what the experimenter types in the terminal
 would answer for the participant. (Under Xvfb it received none of 20 keys, the window all of them.) Events are collected
 every millisecond or two between frames, and stamped by the session's own clock.
+
+Python raises what Ctrl-C means wherever it happens to be: in the middle of a record of the journal, or in a callback
+of the window system, where the exception is printed and lost. While a screen is open, the first signal waits until a
+frame is over; the second one does what it does elsewhere, at once.
 """
 
 import os
+import signal
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import count
 from typing import Any
 
 from feel321.study.screen import sheet
-from feel321.study.screen.input import InputEvent, drop_repeats, hold_signals, name_key
+from feel321.study.screen.input import InputEvent
 
 Foreign = Any  # PsychoPy has no types
 
@@ -25,6 +32,75 @@ POLL_S = 0.0015  # how often events are collected between frames
 WINDOW_SIZE = (1280, 800)  # default size of a window, in pixels
 DESTROY_NOTIFY = 17  # X11's number of the event that a window was destroyed
 REDRAW_S = 0.5  # what has not changed is drawn again, in case something covered it
+
+ALIASES = {
+    "return": "enter",
+    "page_up": "pageup",
+    "page_down": "pagedown",
+    "add": "plus",
+    "subtract": "minus",
+    "divide": "slash",
+    "decimal": "period",
+}
+
+
+def name_key(symbol: str) -> str:
+    """Name a key, the same on the main block and on the number block."""
+    name = symbol.lower().removeprefix("num_").removeprefix("_")
+    return ALIASES.get(name, name)
+
+
+REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faster
+
+
+def drop_repeats(events: list[InputEvent]) -> list[InputEvent]:
+    """Leave out the releases and presses that a held key makes up."""
+    kept: list[InputEvent] = []
+    for event in events:
+        last = kept[-1] if kept else event
+        is_pair = (last.kind, event.kind) == ("release", "press") and last.key == event.key
+        if is_pair and event.time_s - last.time_s < REPEAT_S:
+            kept.pop()
+        else:
+            kept.append(event)
+    return kept
+
+
+HELD = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def hold_signals() -> Iterator[Callable[[], None]]:
+    """Hold Ctrl-C and the request to end until the function that this gives is called.
+
+    Outside the main thread, which alone receives signals, nothing is held.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    before: dict[int, Any] = {
+        number: signal.getsignal(number) for number in HELD if callable(signal.getsignal(number))
+    }
+    numbers, waiting = count(), list[int]()
+
+    def hold(number: int, frame: object) -> None:
+        if next(numbers) == 0:
+            waiting.append(number)
+        else:
+            before[number](number, frame)
+
+    def deliver() -> None:
+        if waiting:
+            number = waiting.pop()
+            before[number](number, None)
+
+    for number in before:
+        signal.signal(number, hold)
+    try:
+        yield deliver
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Window:

@@ -154,22 +154,8 @@ _APPEND = os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0)
 class Journal:
     """A journal open for writing; hold the session's lock while it is.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    now : callable
-        Returns the time of day, with its zone.
-    records : list of Record
-        All records so far, in order.
-    notice : str
-        Repairs that were made when it was opened, for the experimenter; mostly empty.
-    tip : str
-        SHA-256 of the last line, 64 zeros if there is none.
-    is_open : bool
-        Whether it takes records: after a write that was broken off it does not.
-    listeners : list of callable
-        Called with every record that is on the disk; they must not wait.
+    notice: repairs that were made when it was opened, for the experimenter. tip: SHA-256 of the last line. is_open:
+    whether it takes records. listeners: called with every record that is on the disk; they must not wait.
     """
 
     path: Path
@@ -181,22 +167,11 @@ class Journal:
     listeners: list[Callable[[Record], None]] = field(default_factory=list)
 
     def write(self, event: SessionEvent | str, data: Mapping[str, Any] | None = None) -> None:
-        """Append one record; it is on the disk when this returns.
+        """Append one record, an event or any name with its data; it is on the disk when this returns.
 
-        If the time of day was set back since the last record, a record before it says by how much.
-
-        Parameters
-        ----------
-        event : SessionEvent or str
-            The event, or the name of any record.
-        data : mapping, optional
-            The fields that go with a name; everything JSON can hold.
-
-        Raises
-        ------
-        OSError
-            If the disk takes no more. Whatever breaks off a write closes the journal, for the file may hold
-            all of the line, some or none: only reading it again shows where the chain goes on.
+        If the time of day was set back since the last record, a record before it says by how much. Whatever breaks off
+        a write closes the journal, for the file may hold all of the line, some or none: only reading it again shows
+        where the chain goes on.
         """
         utc = self.now().isoformat(timespec="milliseconds")
         if self.records:
@@ -218,7 +193,7 @@ class Journal:
         line = write_line(record, self.tip)
         self.is_open = False
         with _naming(self.path):
-            written = _write_through(self.path, line)
+            written = self._write_through(line)
         if written != len(line):
             raise OSError(
                 f"{self.path}: the disk took {written} of {len(line)} bytes; make room, then resume"
@@ -228,6 +203,19 @@ class Journal:
         self.is_open = True
         for listen in self.listeners:
             listen(record)
+
+    def _write_through(self, line: bytes) -> int:
+        descriptor = os.open(self.path, _APPEND)
+        try:
+            before = os.fstat(descriptor).st_size
+            written = os.write(descriptor, line)
+            if written != len(line):
+                # A full disk takes the beginning of a line and says so by a short count only.
+                os.ftruncate(descriptor, before)
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+        return written
 
 
 def utc_now() -> datetime:
@@ -285,20 +273,6 @@ def _naming(path: Path) -> Iterator[None]:
         raise OSError(
             f"{path}: the disk took no record ({error.strerror or error}); make room or repair the disk, then resume"
         ) from error
-
-
-def _write_through(path: Path, line: bytes) -> int:
-    descriptor = os.open(path, _APPEND)
-    try:
-        before = os.fstat(descriptor).st_size
-        written = os.write(descriptor, line)
-        if written != len(line):
-            # A full disk takes the beginning of a line and says so by a short count only.
-            os.ftruncate(descriptor, before)
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-    return written
 
 
 def _cut_torn_line(path: Path, torn: bytes) -> Path:

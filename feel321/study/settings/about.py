@@ -5,9 +5,8 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from feel321.doors import name_of
-from feel321.names import EXPECTATIONS, MEASURES, PROVENANCE
+from feel321.names import ANCHOR_NAMES, EXPECTATIONS, MEASURES, PROVENANCE
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.recipe import ANCHORS
 from feel321.study.settings import fields as kinds
 
 
@@ -17,7 +16,7 @@ def _check_terms(terms: dict[str, float], info: ValidationInfo) -> dict[str, flo
         return terms
     stimuli, own = (info.context.get(table) for table in ("stimuli", "reducers"))
     felt = stimuli.get("reducers") if isinstance(stimuli, dict) else ()
-    known = [*REDUCERS, *ANCHORS, *(own if isinstance(own, dict) else ())]
+    known = [*REDUCERS, *ANCHOR_NAMES, *(own if isinstance(own, dict) else ())]
     known += [name_of(name) for name in felt or () if isinstance(name, str)]
     for name in terms:
         kinds.check_one_of(name, known)

@@ -11,7 +11,6 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis.choices import agree_with_others, gather_votes, predict
-from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -105,57 +104,6 @@ def test_planted_metrics_are_found_and_ranked(plant: Plant) -> None:
     (row,) = found.differences.to_dict("records")
     assert row["low"] > 0
     assert found.shares["share"].max() <= found.majority
-
-
-def test_a_table_says_which_way_its_metrics_point(plant: Plant) -> None:
-    planted = plant()
-    info = {"temporal_match": MetricInfo("temporal match", higher="worse")}
-    plain, turned = (
-        analysis.predict_votes(planted.read(info=facts)).shares["share"] for facts in (None, info)
-    )
-    assert plain["temporal_match"] == pytest.approx(1 - turned["temporal_match"])
-    assert plain["spectral_match_bounded"] == turned["spectral_match_bounded"]
-
-
-def test_only_test_stimuli_and_the_recording_as_reference_count(plant: Plant) -> None:
-    planted = plant(participants=4, recordings=3)
-    first = planted.votes.iloc[:3].assign(participant="p00", trial=[9001, 9002, 9003])
-    catch = first.assign(
-        stimulus_id=["r0-original"] * 3, other_id=["r0-low"] * 3, reference_id="r0-original"
-    )
-    foreign = first.assign(reference_id="r0-dft321", stimulus_id="r0-sax321", other_id="r0-mag321")
-    more = planted._replace(votes=pd.concat([planted.votes, catch, foreign], ignore_index=True))
-    plain, found = (analysis.predict_votes(one.read()) for one in (planted, more))
-    assert found.n_votes == plain.n_votes == len(planted.votes)
-    assert "3 choices have another reference than the recording" in found.notes[0]
-    alone = planted._replace(votes=foreign).read()
-    with pytest.raises(ValueError, match="3 choices have another reference than the recording"):
-        analysis.predict_votes(alone)
-
-
-def test_what_cannot_be_asked_is_refused(plant: Plant) -> None:
-    planted = plant(participants=3, recordings=3)
-    table = planted.read()
-    refused: list[tuple[dict[str, Any], str]] = [
-        ({"ratings": planted.votes}, "stimuli must be given with a DataFrame of votes"),
-        ({"ratings": "votes.csv"}, "ratings must be a Table or a DataFrame"),
-        ({"ratings": table, "stimuli": planted.stimuli}, "stimuli must be left out with a Table"),
-        ({"ratings": table, "scale": "realism"}, "scale must be one of triplet; got 'realism'"),
-        ({"ratings": table, "metrics": ["psnr"]}, "stimuli: column psnr is missing"),
-        ({"ratings": HAND.assign(rating=50), "stimuli": STIMULI}, "ratings must be 100 "),
-        (
-            {"ratings": HAND.assign(other_id="w"), "stimuli": STIMULI},
-            "other_id must be a stimulus of",
-        ),
-        (
-            {"ratings": HAND.assign(other_id="x"), "stimuli": STIMULI},
-            "must be another stimulus than",
-        ),
-        ({"ratings": HAND.iloc[:0], "stimuli": STIMULI}, "must hold a choice between two stimuli"),
-    ]
-    for given, message in refused:
-        with pytest.raises((ValueError, TypeError), match=message):
-            analysis.predict_votes(**given)
 
 
 @pytest.mark.parametrize("weights", [(0.0, 0.0), (0.0, 5.0)])

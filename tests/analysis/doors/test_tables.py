@@ -78,7 +78,7 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
 OTHERS = {"bradley_terry by rater", "find_sources", "profile_reducers", "tabulate_correlations"}
 """Further forms, and functions that are not on the face."""
 
-CHOICES = {"fit_choices", "predict_votes"}
+CHOICES = {"predict_votes"}
 """What takes choices between two stimuli, tried in `tests/analysis/choices`."""
 
 ELSEWHERE = {"advise_tradeoff", "read_table", "write_report", *CHOICES}

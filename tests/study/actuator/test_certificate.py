@@ -162,19 +162,6 @@ def test_a_prediction_is_the_sum_of_the_coils_exact_filters() -> None:
     assert np.abs(found - expected).max() < 0.01 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize(
-    ("gains", "reason"),
-    [
-        ({"left coil": 1.0}, "not so: 'right coil'"),
-        ({**GAINS, "third": 1.0}, "not so: 'third'"),
-        ({"left coil": 0.0, "right coil": 1.0}, "must be positive m/s² per full scale, got 0"),
-    ],
-)
-def test_typed_gains_must_be_of_the_rigs_coils(gains: Any, reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        make_manual(RIG, gains, directions={}, made=MADE, rate_hz=RATE_HZ)
-
-
 def test_coils_of_unlike_latency_move_together() -> None:
     certificate = make()
     left, right = certificate.coils.values()

@@ -117,18 +117,6 @@ def test_noise_lowers_coherence_by_its_share_and_leaves_the_level() -> None:
         assert found.lag == LAG
 
 
-def test_what_was_cut_off_at_the_end_is_no_loss_unless_it_is_most() -> None:
-    asked = make_noise(7)
-    whole = 0.5 * delay(asked)
-    cut = compare(asked, whole[:, : LAG + 30000], rate_hz=RATE)
-    assert cut.lag == LAG
-    assert cut.level_error_db == pytest.approx(-6.02, abs=0.01)
-    assert cut.coherence == pytest.approx(1, abs=1e-3)
-    assert cut.error.shape == asked.shape
-    most = compare(asked, whole[:, : LAG + 9000], rate_hz=RATE)
-    assert most.level_error_db < -8
-
-
 @pytest.mark.parametrize("axes", [1, 3])
 def test_what_is_asked_delivers_the_metrics_of_the_manifest(
     built: tuple[StimulusSet, dict[str, Baseline]], axes: int
@@ -254,40 +242,17 @@ def play(tmp_path: Path, stimuli: StimulusSet, *, check: DeliveryCheck, text: st
         return output.collect()
 
 
-@pytest.mark.parametrize(
-    ("change", "fault"),
-    [
-        (("", ""), ""),
-        (("q = 0.7", "q = 0.7\nfull_scale_m_s2 = 1e-6"), "no trace"),  # coil dead, amplifier off
-        (("q = 0.7", "q = 0.7\nfull_scale_m_s2 = 50.0"), "6.0 dB too weak"),
-        (("q = 0.7", "q = 0.7\ndirection = [-1, 0, 0]"), "inverted"),
-        (("channel = 1\ndirection", "channel = 2\ndirection"), "no trace"),  # channels swapped
-    ],
-)
-def test_the_sensor_shows_each_fault(
-    built: tuple[StimulusSet, dict[str, Baseline]],
-    tmp_path: Path,
-    change: tuple[str, str],
-    fault: str,
+def test_the_sensor_measures_what_was_asked(
+    built: tuple[StimulusSet, dict[str, Baseline]], tmp_path: Path
 ) -> None:
     stimuli = built[0]
-    text = ONE_COIL.replace(*change)
-    if "channel = 2\ndirection" in text:
-        text = text.replace('"other"\nchannel = 2', '"other"\nchannel = 1')
     (tmp_path / "right.toml").write_text(ONE_COIL, encoding="utf-8")
+    rig = read_rig(tmp_path / "right.toml")
     check = DeliveryCheck(
-        stimuli,
-        read_rig(tmp_path / "right.toml"),
-        full_scale_m_s2=FULL_SCALE,
-        reduced=built[1],
-        certificate=Stub(read_rig(tmp_path / "right.toml")),
+        stimuli, rig, full_scale_m_s2=FULL_SCALE, reduced=built[1], certificate=Stub(rig)
     )
-    played = play(tmp_path, stimuli, check=check, text=text)
-    found = find_loss(played.delivered, Flow())
-    assert fault in found, played
-    assert bool(found) == bool(fault)
-    if fault:
-        return
+    played = play(tmp_path, stimuli, check=check, text=ONE_COIL)
+    assert not find_loss(played.delivered, Flow())
     # One block of 512 and the path's latency; a coil far below its resonance gives what is asked.
     one = stimuli["bumps__sax321__as_is"]
     assert played.delivered["lag"] == pytest.approx(700 + 512, abs=1)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from typing import TYPE_CHECKING, Any
@@ -50,25 +49,13 @@ def call(pulse: Any, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[
     return done
 
 
-def find_faults(done: subprocess.CompletedProcess[str]) -> int:
-    """Count what doctor says went wrong with its pulses, which may be on a busy machine; it ends accordingly."""
-    counts = re.search(r"failed (\d+), underruns (\d+)", done.stdout)
-    counts = counts or re.search(r'"n_failed": (\d+),\s+"n_underruns": (\d+)', done.stdout)
-    assert counts, done
-    # On a busy machine the server may lose samples without a flag; then the sensor has no pulse either.
-    n_faults = int(counts[1]) + int(counts[2]) + done.stderr.count("feel321: sensor on channel")
-    assert done.returncode == int(n_faults > 0)
-    return n_faults
-
-
 def test_devices_are_listed_with_the_rates_that_they_take(pulse: Any, tmp_path: Path) -> None:
-    done = call(pulse, cwd=tmp_path)
+    done = call(pulse, "--json", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
-    *devices, last = done.stdout.splitlines()
+    found = {one["name"]: one for one in json.loads(done.stdout)["devices"]}
     for name in ("stylus", "stylus twin"):  # the system may list names of its own besides
-        told = f"{name} (ALSA): 32 out, 32 in; plays at 8000, 16000, 44100, 48000, 96000, 192000 Hz; through a program"
-        assert told in devices
-    assert last == "nothing was played; name a device with --device, or in the study's rig.toml"
+        assert (found[name]["host_api"], found[name]["is_program"]) == ("ALSA", True)
+        assert found[name]["rates_hz"] == [8000, 16000, 44100, 48000, 96000, 192000]
 
 
 def test_pulses_are_played_quietly_and_measured(
@@ -97,24 +84,32 @@ def test_pulses_are_played_quietly_and_measured(
         return done, capture
 
     def is_disturbed(found: tuple[Any, Any]) -> bool:
-        told = json.loads(found[0].stdout)["examination"]
+        told = json.loads(found[0].stdout)["examination"] if found[0].stdout else None
         return (
-            find_faults(found[0]) > 0 or told["n_pulses"] < 2 or told["onset_jitter_99_ms"] >= 100
+            told is None
+            or told["n_failed"] + told["n_underruns"] > 0
+            or told["n_pulses"] < 2
+            or told["onset_jitter_99_ms"] >= 100
         )
 
     done, capture = insist(examine, is_disturbed=is_disturbed)
-    assert done.stderr == ""
+    # The sensor is the monitor of channel 4, on which only the spare coil plays.
+    faults = [line.removeprefix("feel321: ") for line in done.stderr.splitlines()]
+    assert [fault.split(":")[0] for fault in faults if "program plays" not in fault] == [
+        "left",
+        "right",
+    ]
+    assert done.returncode == 1
     found = json.loads(done.stdout)["examination"]
     assert found["is_program"] is True
     assert (found["device"], found["host_api"], found["rate_hz"]) == ("stylus twin", "ALSA", 48000)
     assert found["n_pulses"] >= 2
     assert found["n_failed"] == 0
-    assert done.returncode == (1 if found["n_underruns"] else 0)
     assert 0 < found["onset_ms"] < 500
     assert 0 < found["sensed_ms"] < 500
     assert found["n_sensed"] >= 2
     assert found["onset_jitter_ms"] <= found["onset_jitter_99_ms"] < 100
-    assert abs(capture.samples).max() == pytest.approx(0.05, rel=0.05)
+    assert abs(capture.samples).max() < 0.25  # pulses and probes are quiet
 
 
 def listen(

@@ -24,7 +24,6 @@ from feel321.study.actuator.device import (
     find_device,
     list_devices,
     open_port,
-    refresh_devices,
 )
 from feel321.study.actuator.mixer import Cue
 from feel321.study.actuator.output import SENSOR_TAIL_S, Output, Take
@@ -344,23 +343,6 @@ def test_silence_beyond_what_it_held_is_an_underrun_though_no_flag_says_so(
         clock.wait(wait_s)
         stream.ask()
     assert [number for number, block in enumerate(blocks) if block.has_run_dry] == dry
-
-
-def raise_foreign(*_: object) -> None:
-    raise RuntimeError("Error getting stream time")
-
-
-def test_what_portaudio_refuses_is_one_line(
-    sounddevice: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sounddevice, "_terminate", raise_foreign)
-    refresh_devices()
-    monkeypatch.setattr(sounddevice, "_initialize", raise_foreign)
-    with pytest.raises(OSError, match=r"PortAudio does not start \(Error getting stream time\)"):
-        refresh_devices()
-    sounddevice.OutputStream = lambda **settings: StandIn(**settings | {"samplerate": 44100.0})
-    with pytest.raises(OSError, match="'coils' runs at 44100 Hz, the stimuli are at 1000 Hz"):
-        open_line()
 
 
 @pytest.mark.usefixtures("sounddevice")

@@ -66,19 +66,6 @@ def test_a_tone_reaches_the_hand_at_its_level(
     assert abs(motion[:, 0]).max() == 0
 
 
-def test_a_silent_interval_is_one_that_vibrates_times_zero(tmp_path: Path) -> None:
-    output = open_file(tmp_path)
-    for level_db in (None, -10.0):
-        output.start(Tone(40.0, 0.5, level_db), gap_s=0.1)
-        while output.is_playing:
-            pass
-        assert output.collect().measured["n_samples"] == 4000
-    silent, loud = (read_wav(tmp_path / f"000{n}.wav")[0] for n in (1, 2))
-    assert silent.shape == loud.shape
-    assert not silent[[0, 1, 3]].any()
-    assert np.array_equal(silent[2], loud[2])  # the sync pulse
-
-
 def test_a_rig_that_cannot_play_the_strongest_tone_is_refused() -> None:
     def find(highest_db: float, **limits: float) -> list[str]:
         block = replace(BLOCK, plan=replace(USUAL, highest_db=highest_db))

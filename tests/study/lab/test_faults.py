@@ -16,8 +16,8 @@ from feel321.study.analyze import analyze_study
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
+from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose
-from feel321.study.screen.view import View, make_screen_texts
 from feel321.study.session.ports import Place
 from feel321.study.status import read_status
 

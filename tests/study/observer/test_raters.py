@@ -54,13 +54,6 @@ def test_bad_raters_come_in_the_shares_that_were_asked_for() -> None:
     assert "normal" not in {rater.kind for rater in draw_many(everyone)}
 
 
-def test_bad_raters_change_nothing_about_the_hands_of_the_others() -> None:
-    hands = [(r.bias, r.gain, r.noise_sd) for r in draw_many(MODEL, 50)]
-    assert [
-        (r.bias, r.gain, r.noise_sd) for r in draw_many(vary(MODEL, random_clickers=0.5), 50)
-    ] == hands
-
-
 def test_what_is_out_of_range_is_refused() -> None:
     shares = ["lapse_rate", "straight_liners", "random_clickers", "scale_reversers"]
     sizes = ["bias_sd", "gain_sd", "noise_sd", "noise_spread", "fatigue_noise"]
@@ -169,12 +162,3 @@ def test_the_more_real_is_preferred_as_thurstone_says(apart: float, growth: floa
     chosen = [CAREFUL.prefer(percepts, growth=growth, rng=rng) for _ in range(20_000)]
     expected = norm.cdf(apart / (CAREFUL.noise_sd * growth * np.sqrt(2)))
     assert chosen.count("a") / len(chosen) == pytest.approx(expected, abs=0.015)
-
-
-def test_habits_prefer_whatever_was_felt() -> None:
-    percepts, rng = {"a": 0.0, "b": 90.0}, np.random.default_rng(5)
-    straight = replace(CAREFUL, kind="straight_liner", favourite=0.3)
-    assert {straight.prefer(percepts, growth=1.0, rng=rng) for _ in range(20)} == {"a"}
-    clicker = replace(CAREFUL, kind="random_clicker")
-    answers = [clicker.prefer(percepts, growth=1.0, rng=rng) for _ in range(2000)]
-    assert answers.count("a") / 2000 == pytest.approx(0.5, abs=0.04)

@@ -8,7 +8,7 @@ import pytest
 
 from feel321.protocols.trial import SURFACE, Judgement, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
-from feel321.study.observer.model import SPECTRAL, ObserverModel, Touch, identify_observer
+from feel321.study.observer.model import SPECTRAL, ObserverModel, Touch
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.journal import Record
 from feel321.study.session.ports import Confirm, Feel, Place
@@ -141,24 +141,6 @@ def test_planted_weights_on_the_matches_are_recovered() -> None:
     assert found == pytest.approx([15.0, 40.0, 25.0], rel=0.06)
 
 
-def test_participants_differ_by_number_in_bias_gain_and_noise() -> None:
-    trials = make_main(20)
-    flat = vary(FLAT, bias_sd=6.0)
-    biases = np.array([
-        rate_all(SimulatedObserver(flat, seed=1, number=n), trials) for n in range(1, 201)
-    ])
-    assert np.ptp(biases, axis=1).max() == 0.0
-    assert biases[:, 0].std(ddof=1) == pytest.approx(6.0, rel=0.15)
-    noisy = vary(FLAT, noise_sd=8.0)
-    noise = np.array([
-        rate_all(SimulatedObserver(noisy, seed=1, number=n), trials) for n in range(1, 201)
-    ])
-    assert noise.std(ddof=1) == pytest.approx(8.0, rel=0.04)
-    assert np.corrcoef(noise[0::2].ravel(), noise[1::2].ravel())[0, 1] == pytest.approx(
-        0.0, abs=0.07
-    )
-
-
 def test_planted_drift_and_growth_of_the_noise_are_recovered() -> None:
     trials = make_main(1000)
     for fatigue in (-4.0, 6.0):
@@ -186,23 +168,6 @@ def test_planted_contrast_is_recovered(order: float) -> None:
     assert intercept == pytest.approx(50 * order, abs=2.0)
 
 
-def test_every_slider_of_a_page_is_answered_by_itself() -> None:
-    trial = make_mushra(1, ["code1", "original", "far", "code2"])
-    values = answer(SimulatedObserver(EXACT, seed=1, number=1), trial).values
-    expected = {
-        slot: 20 + 45 * s.spectral_match + 35 * s.temporal_match
-        for slot, s in (
-            ("1", STIMULI["code1"]),
-            ("2", OTHERS["original"]),
-            ("3", OTHERS["far"]),
-            ("4", STIMULI["code2"]),
-        )
-    }
-    assert values == pytest.approx(expected, abs=0.051)
-    noisy = SimulatedObserver(vary(EXACT, noise_sd=5.0), seed=1, number=1)
-    assert len(set(answer(noisy, make_mushra(1, ["far"] * 4)).values.values())) == 4
-
-
 def test_participants_agree_on_what_is_identical_and_not_on_how_much_less_the_rest_is() -> None:
     trial = make_mushra(1, ["original", "code1"])
     stretched = vary(EXACT, gain_sd=0.3)
@@ -220,33 +185,6 @@ def test_the_real_surface_is_stroked_and_stands_for_the_original() -> None:
     observer = SimulatedObserver(EXACT, seed=1, number=1)
     assert answer(observer, trial).values["test"] == 20.0
     assert observer.prompt(parts[0]).completed
-
-
-def test_what_was_not_felt_is_felt_before_the_same_answer_is_given_again() -> None:
-    observer = SimulatedObserver(MODEL, seed=1, number=1)
-    confirmed = answer(observer, make_realism(1, "code1"))
-    observer.refuse("not_felt", ("test",))
-    assert observer.wait() == Feel(confirmed.time_s, "test")
-    observer.play(Part("test", "code1"), STIMULI["code1"], gap_s=0.5)
-    again = observer.wait()
-    assert isinstance(again, Confirm)
-    assert (again.values, again.time_s) == (confirmed.values, pytest.approx(confirmed.time_s + 1.5))
-    observer.refuse("no_replay", ())
-    assert observer.wait() == again
-
-
-def test_time_goes_on_by_what_is_felt_and_answered() -> None:
-    observer = SimulatedObserver(MODEL, seed=1, number=1, elapsed_s=100.0)
-    part = Part("test", "code1")
-    observer.show_trial(make_realism(1, "code1"), SLIDER, Place(0, TOTAL))
-    playbacks = [observer.play(part, STIMULI["code1"], gap_s=0.5) for _ in range(2)]
-    assert [(p.requested_s, p.onset_s, p.completed) for p in playbacks] == [
-        (100.5, 100.5, True),
-        (102.0, 102.0, True),
-    ]
-    act = observer.wait()
-    assert isinstance(act, Confirm)
-    assert act.time_s == pytest.approx(103.0 + act.response_time_s)
 
 
 def test_seed_number_trial_and_attempt_decide_and_nothing_else() -> None:
@@ -303,12 +241,6 @@ def test_a_resumed_session_gives_the_answers_and_times_of_an_unbroken_one(
         if done >= broken_after
     ]
     assert before + rest == whole
-
-
-def test_identity_names_everything_that_answers_depend_on() -> None:
-    identity = identify_observer(MODEL, seed=3)
-    assert (identity["simulated"], identity["seed"]) == (True, 3)
-    assert ObserverModel(**identity["observer"]) == MODEL
 
 
 def test_people_feel_by_the_spectral_match_that_is_declared() -> None:

@@ -26,9 +26,9 @@ from feel321.protocols.trial import (
     Trial,
     ask_on_scales,
 )
+from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose
 from feel321.study.screen.sheet import LEADING, Text, measure
-from feel321.study.screen.view import View, make_screen_texts
 from feel321.study.screen.window import open_screen
 from feel321.study.session.ports import Place
 

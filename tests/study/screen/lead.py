@@ -14,16 +14,18 @@ from dataclasses import asdict, replace
 from importlib import import_module
 from pathlib import Path
 from runpy import run_path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import read_scales, read_texts
 from feel321.protocols.trial import Flow, Page
+from feel321.study.screen.input import Hand, View, make_screen_texts
 from feel321.study.screen.layout import compose
 from feel321.study.screen.presenter import ScreenPresenter
-from feel321.study.screen.view import Hand, View, make_screen_texts
 from feel321.study.screen.window import Window, open_screen
-from feel321.study.session.engine import Schedule, Setup, Stopped, conduct_page, conduct_trial
+from feel321.study.session.engine import Session, Stopped
+from feel321.study.session.journal import Records
 from feel321.study.session.ports import Place, Playback, Surface
 
 if TYPE_CHECKING:
@@ -159,15 +161,17 @@ class Watcher(Hand):
 class Journal:
     """Tells what would be written."""
 
+    records = Records()
+
     def write(self, event: SessionEvent) -> None:
         tell(event=event.event, **event.to_data())
 
 
-def conduct(step: dict[str, Any], setup: Setup) -> None:
+def conduct(step: dict[str, Any], session: Session) -> None:
     if "page" in step:
-        conduct_page(Page(**{"key": step.pop("page"), **step}), Place(12, 80), setup)
+        session._conduct_page(Page(**{"key": step.pop("page"), **step}), Place(12, 80))
     else:
-        conduct_trial(gallery["make_trial"](step.pop("trial"), **step), Place(12, 80), setup)
+        session._run_attempt(gallery["make_trial"](step.pop("trial"), **step), Place(12, 80))
 
 
 def main(spec: dict[str, Any]) -> bool:
@@ -190,10 +194,18 @@ def main(spec: dict[str, Any]) -> bool:
         limits = spec.get("limits_s", {}).items()
         tasks = {name: replace(make_task(name), answer_timeout_s=limit) for name, limit in limits}
         stimuli = dict.fromkeys(f"s{n}" for n in range(13))
-        setup = Setup(presenter, stimuli, scales, Journal(), Flow(gap_s=0.1), pace=Schedule(tasks))
+        plan: Any = SimpleNamespace(
+            flow=Flow(gap_s=0.1),
+            tasks=tuple(tasks.values()),
+            trials=(),
+            questions=(),
+            threshold=None,
+            matching=None,
+        )
+        session = Session(plan, presenter, Journal(), stimuli=stimuli, scales=scales)
         try:
             for step in spec["steps"]:
-                conduct(step, setup)
+                conduct(step, session)
         except Stopped as stop:
             tell(event="ended", reason=stop.args[0])
         finally:

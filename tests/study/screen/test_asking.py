@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from feel321.protocols.texts import MOST_LETTERS, Question, read_texts
+from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.study.keys import USUAL, KeysTable
 from feel321.study.screen.input import Form, InputEvent
-from feel321.study.screen.layout import find_overflows
 from feel321.study.screen.sheet import Box, Target
-from feel321.study.screen.view import make_screen_texts
 
 HAND = Question("hand", "choice", "Which?", ("left", "right", "both"))
 TIRED = Question("tired", "likert", "How tired?", ("not", *[""] * 5, "very"))
@@ -107,21 +105,3 @@ def test_what_counts_as_an_answer(
     question: Question, answer: float | str | None, fault: str
 ) -> None:
     assert question.find_fault(answer) == fault
-
-
-def test_questions_too_long_for_a_screen_are_found() -> None:
-    texts = make_screen_texts(read_texts())
-    wide = Question("wide", "choice", "Which?", ("a", "b" * 200))
-    high = Question("high", "choice", "Which? " * 300, ("a", "b"))
-    crowded = Question("crowded", "likert", "Which?", ("unpronounceableness",) * 9)
-    faults = find_overflows(texts, (), (wide, high, crowded, HAND, TIRED, AGE, LAST))
-    assert [fault.partition(":")[0] for fault in dict.fromkeys(faults)][:3] == [
-        "question 'wide'",
-        "question 'high'",
-        "question 'crowded'",
-    ]
-    assert {fault.partition(":")[0] for fault in faults} == {
-        "question 'wide'",
-        "question 'high'",
-        "question 'crowded'",
-    }

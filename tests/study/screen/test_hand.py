@@ -11,9 +11,8 @@ from feel321.protocols.trial import Judgement, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import Participant, SimulatedObserver
-from feel321.study.screen.input import MOVES
-from feel321.study.screen.robot import RETRIES, RETRY_S, THINKING_S, PressingHand
-from feel321.study.screen.view import View
+from feel321.study.screen.input import MOVES, View
+from feel321.study.screen.robot import RETRIES, RETRY_S, PressingHand
 from feel321.study.session.ports import Place
 
 SCALES = read_scales()
@@ -177,33 +176,6 @@ def test_the_hand_gives_the_answers_of_the_mind_in_whole_points(lost: set[int]) 
         assert screen.view.felt == {part.name for part in make_trial(number, protocol).parts}
 
 
-def test_every_way_to_move_a_marker_is_gone() -> None:
-    visit = Visit()
-    pressed = {
-        key for number in range(1, 9) for key in visit.meet(bring_up(number, "realism")).pressed
-    }
-    assert {"left", "right", "pageup", "pagedown", "enter"} & pressed > {"right", "enter"}
-    assert any(key.isdigit() for key in pressed)
-    rows = visit.meet(bring_up(9, "mushra")).pressed
-    assert rows[:5] == ["tab", "f1", "f2", "f3", "f4"]
-    assert {"down", "enter"} <= set(rows)
-
-
-def test_nothing_is_pressed_while_something_is_felt_or_before_it_was_thought_about() -> None:
-    visit = Visit()
-    visit.screen = Screen(replace(bring_up(1, "realism"), state="feeling"))
-    for _ in range(100):
-        visit.hand.watch(visit.screen.view)
-        visit.time_s += FRAME_S
-    assert visit.screen.pressed == []
-    began_s = visit.time_s
-    answering = replace(visit.screen.view, state="answering")
-    while not visit.screen.pressed:
-        visit.hand.watch(answering)
-        visit.time_s += FRAME_S
-    assert visit.time_s - began_s >= THINKING_S
-
-
 @pytest.mark.parametrize(("by", "key"), [("participant", "enter"), ("experimenter", "f12")])
 def test_pages_are_left_by_the_key_of_whom_they_are_for(by: str, key: str) -> None:
     view = View("page", "reading", 1, Place(0, 80), page=Page("welcome", by=by))
@@ -223,17 +195,6 @@ def test_the_real_surface_is_stroked_until_enter() -> None:
 def test_what_was_not_felt_to_its_end_is_felt_again_before_the_answer() -> None:
     view = replace(bring_up(1, "similarity"), felt=frozenset({"reference"}))
     assert Visit().meet(view).pressed[0] == "r"
-
-
-def test_a_trial_on_the_real_surface_is_answered_too() -> None:
-    view = bring_up(1, "realism")
-    trial = (
-        replace(view.trial, parts=(Part("surface", surface="oak"), *view.trial.parts))
-        if view.trial
-        else None
-    )
-    felt = frozenset({"surface", "test"})
-    assert Visit().meet(replace(view, trial=trial, felt=felt)).view.markers["test"] >= 0
 
 
 def test_a_failed_device_is_tried_again_but_not_for_ever() -> None:

@@ -7,15 +7,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.protocols.texts import read_scales
-from feel321.study.screen.input import (
-    COARSE_SPEEDS,
-    Answer,
-    InputEvent,
-    count_repeats,
-    drop_repeats,
-    name_key,
-)
+from feel321.study.screen.input import COARSE_SPEEDS, Answer, InputEvent, count_repeats
 from feel321.study.screen.sheet import Box, Target
+from feel321.study.screen.window import drop_repeats, name_key
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -6,12 +6,9 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from typing import TYPE_CHECKING, Any
 
 import pytest
-
-from feel321.study.screen.input import count_repeats
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -182,23 +179,6 @@ def test_rows_by_keys(seat: Callable[..., Any]) -> None:
     }
 
 
-def test_choice_by_keys_and_mouse(seat: Callable[..., Any]) -> None:
-    here = seat({"trial": "abx"}, {"trial": "abx"})
-    here.see(state="answering")
-    for key, chosen in (("Left", "a"), ("Right", "b"), ("a", "a"), ("b", "b")):
-        here.press(key)
-        here.see(chosen=chosen)
-    here.press("Return")
-    here.see(screen=2, state="answering")
-    here.press("Return")
-    here.until(lambda view: view["notice"] == "Please answer first. Still open: X")
-    here.click("choose a")
-    here.see(chosen="a")
-    here.click("confirm")
-    here.finish()
-    assert [event["values"] for event in here.find("rated")] == [{"x": "b"}, {"x": "a"}]
-
-
 def test_pages_stand_and_count_down(seat: Callable[..., Any]) -> None:
     pages = (
         {"page": "rest", "least_s": 1.5},
@@ -226,25 +206,6 @@ def test_pages_stand_and_count_down(seat: Callable[..., Any]) -> None:
     pages = here.find("page")
     assert [page["key"] for page in pages] == ["rest", "training_failed", "end"]
     assert pages[0]["stood_s"] >= 1.5
-
-
-def test_a_double_click_leaves_one_page(seat: Callable[..., Any]) -> None:
-    here = seat({"page": "welcome"}, {"page": "consent"})
-    here.see(page="welcome")
-    box = here.view["targets"]["confirm"]
-    here.order("hold")  # both halves come within any time
-    here.do("mousemove", str(round(box["left"] + 9)), str(round(box["top"] + 9)))
-    here.do("click", "--repeat", "2", "--delay", "60", "1")
-    here.see(page="consent")
-    here.order("look")
-    here.order("go on")
-    time.sleep(0.5)
-    here.order("look")
-    here.click("confirm")
-    here.finish()
-    pages = here.find("page")
-    assert [page["key"] for page in pages] == ["welcome", "consent"]
-    assert pages[1]["stood_s"] > 0.3
 
 
 def test_escape_pauses_then_ends(seat: Callable[..., Any]) -> None:
@@ -287,33 +248,6 @@ def test_space_stops_at_once(seat: Callable[..., Any]) -> None:
     here.see(page="pause")
     here.press("Escape", "Escape")
     here.finish()
-
-
-def test_held_arrows_repeat_and_speed_up(seat: Callable[..., Any]) -> None:
-    here = seat({"trial": "realism"})
-    here.see(state="answering")
-    here.press("0", "Return")
-    here.see(markers={"test": 0.0})
-    here.heed("moved", value=0.0)
-    here.order("hold")
-    here.do("keydown", "Right")
-    here.see(markers={"test": 1.0})
-    pressed_s = here.told[here.seen]["time_s"]
-    here.order("go on")
-    value = here.until(lambda view: view["markers"]["test"] > 12)["markers"]["test"]
-    last_s = here.told[here.seen]["time_s"]
-    here.do("keyup", "Right")
-    here.order("look")
-    final = here.view["markers"]["test"]
-    here.heed("moved", value=final)
-    here.press("Return")
-    here.finish()
-    assert here.find("rated")[0]["values"]["test"] == final
-    assert value <= final
-    assert value <= 1 + count_repeats(last_s - pressed_s)
-    moves = [event["value"] for event in here.find("moved")]
-    assert (moves[0], moves[-1]) == (0.0, final)
-    assert set(moves[1:-1]) <= {1.0}  # where it came to rest, not every step
 
 
 def find_window(here: Any) -> str:
@@ -409,31 +343,3 @@ def test_interrupt_leaves_silence(seat: Callable[..., Any]) -> None:
     assert "KeyboardInterrupt" in here.read_errors()
     assert any("stopped" in words for words in here.told)
     assert any("late_frames" in words for words in here.told)
-
-
-@pytest.mark.soak
-def test_rows_go_on_and_on_until_something_else_is_done(seat: Callable[..., Any]) -> None:
-    """Another vibration begins where the last one was stopped; an answer ends it."""
-    here = seat({"trial": "mushra", "rows": 1}, duration_s=0.3)
-    here.see(state="answering")
-    here.press("l", "F1")
-    here.see(playing="1", loops=True)
-    here.see(felt=["1"])
-    here.heed("replayed", part="1")
-    here.order("hold")
-    here.press("7", "0")
-    here.see(markers={"1": 70.0})  # while it goes on
-    here.press("Tab")
-    here.order("go on")
-    here.see(playing="reference")
-    here.see(felt=["1", "reference"])
-    time.sleep(0.4)  # a faster answer would not count
-    here.press("Return")
-    here.finish()
-    starts = [words["goes_on"] for words in here.told if "goes_on" in words]
-    assert starts[0] is False  # nothing was felt before
-    assert starts.count(True) == 1
-    played = [event["part"] for event in here.find("played")]
-    assert starts[played.index("reference")] is True
-    rated = here.find("rated")[0]
-    assert (rated["values"], rated["flags"]) == ({"1": 70.0}, [])

@@ -2,11 +2,10 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 
 import pytest
 
-from feel321.study.screen.input import HELD, hold_signals
+from feel321.study.screen.window import HELD, hold_signals
 
 
 @pytest.mark.parametrize("is_over", [True, False])
@@ -22,18 +21,3 @@ def test_the_first_signal_waits_for_a_frame_and_the_second_does_not(is_over: boo
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
     assert [signal.getsignal(number) for number in HELD] == before
-
-
-def test_other_threads_hold_nothing() -> None:
-    before = signal.getsignal(signal.SIGINT)
-    seen = []
-
-    def enter() -> None:
-        with hold_signals() as deliver:
-            deliver()
-            seen.append(signal.getsignal(signal.SIGINT))
-
-    thread = threading.Thread(target=enter)
-    thread.start()
-    thread.join()
-    assert seen == [before]

@@ -144,38 +144,6 @@ def test_what_went_wrong_is_flagged_and_tried_again_by_the_rules(
     assert [(r["flags"], r["rejected"]) for r in rate(lenient)] == [(flags, False)]
 
 
-@pytest.mark.parametrize("place", [0, 1])
-@pytest.mark.parametrize(
-    ("fault", "flag"), [({"underruns": 1}, "underrun"), ({"clipped": 1}, "clipped")]
-)
-def test_one_bad_part_flags_the_trial(
-    present: Present,
-    scripted: type,
-    plan_task: Callable[..., Plan],
-    place: int,
-    fault: dict[str, int],
-    flag: str,
-) -> None:
-    playbacks = [WHOLE, Playback(2.0, 2.0)]
-    playbacks[place] = replace(playbacks[place], **fault)
-    records = present(scripted(playbacks={(1, 1): playbacks}), plan=plan_task("similarity"))
-    assert list_events(records, "rated")[0]["flags"] == [flag]
-
-
-def test_a_clean_replay_makes_up_for_an_underrun(
-    present: Present, scripted: type, plan_task: Callable[..., Plan]
-) -> None:
-    plan = plan_task("mushra")
-    parts = [part.name for part in plan.trials[0].parts]
-    answer = Confirm(0.0, dict.fromkeys(parts[1:], 50.0), 9.0)
-    dry = [DRY] + [Playback(2.0, 2.0)] * len(parts)
-    for again, rejected in ((parts[0], False), (parts[1], True)):
-        acts = [Feel(0.0), Feel(0.0, again), answer]
-        plan = replace(plan, participant=f"felt-{again}")
-        records = present(scripted(acts={(1, 1): acts}, playbacks={(1, 1): list(dry)}), plan=plan)
-        assert list_events(records, "rated")[0]["rejected"] == rejected
-
-
 @pytest.mark.parametrize(
     ("task", "options"),
     [
@@ -228,14 +196,6 @@ def test_numbers_of_devices_and_screens_are_taken_as_what_they_are(
         "measured": {"onset_s": 0.5},
     }
     assert list_events(records, "rated")[0]["values"] == {"test": 12.5}
-
-
-@pytest.mark.parametrize("page", ["welcome", "pause"])
-def test_a_page_cannot_be_paused(present: Present, scripted: type, page: str) -> None:
-    presenter = scripted(pages={page: [Pause(0.0), Pause(0.0)]}, acts={(1, 1): [Pause(0.0)]})
-    with pytest.raises(IndexError):  # The script of the trial that is shown again is used up.
-        present(presenter)
-    assert presenter.log.count(f"page {page} 0/20") == 3
 
 
 def test_a_rest_stands_as_long_as_it_must(present: Present, scripted: type) -> None:

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.agenda import Agenda
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdBlock
-from feel321.protocols.trial import THRESHOLD, VALID, Flow, Page
+from feel321.protocols.trial import THRESHOLD, Flow
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
@@ -124,49 +123,6 @@ def test_rejected_answers_move_no_level(tmp_path: Path, stimuli: StimulusSet, no
     assert detection is not None
     found = {f: len(one.answers) for f, one in detection.list_procedures().items()}
     assert found == dict(given)
-
-
-def test_a_participant_begins_with_another_frequency_and_other_intervals(
-    stimuli: StimulusSet,
-) -> None:
-    blocks = [
-        make_plan(DESIGN, stimuli, "p01", number=number, simulated=True).threshold
-        for number in (1, 2, 3)
-    ]
-    assert [block.frequencies_hz[0] for block in blocks if block] == [40.0, 250.0, 40.0]
-    assert len({seed for block in blocks if block for seed in block.seeds}) == 6
-
-
-def test_practice_comes_again_after_a_long_break(stimuli: StimulusSet) -> None:
-    plan = make_plan(DESIGN, stimuli, "p01", number=1, simulated=True)
-    agenda = Agenda(plan.trials, plan.flow)
-    practice, first = (
-        next(t for t in plan.trials if (t.protocol, t.phase) == (THRESHOLD, phase))
-        for phase in ("practice", THRESHOLD)
-    )
-    while agenda.ask() != first:
-        step = agenda.ask()
-        if isinstance(step, Page):
-            agenda.tell_page(step.key, time_s=0.0)
-        elif step is not None:
-            agenda.tell_trial(step.number, VALID, as_expected=None, time_s=0.0)
-    agenda.warm_up()
-    assert agenda.ask() == Page("warm_up")
-    agenda.tell_page("warm_up", time_s=0.0)
-    assert agenda.ask() == practice
-    agenda.tell_trial(practice.number, VALID, as_expected=None, time_s=0.0)
-    assert agenda.ask() == first
-    assert agenda.done == 0
-
-
-def test_a_threshold_moves_no_other_trial(tmp_path: Path, stimuli: StimulusSet) -> None:
-    without = replace(DESIGN, threshold=None)
-    plans = [make_plan(d, stimuli, "p01", number=1, simulated=True) for d in (without, DESIGN)]
-    for name, plan in zip(("without", "with"), plans, strict=True):
-        create_plan(tmp_path / name, plan)
-        assert require_plan(tmp_path / name) == plan
-    # The block comes after all else, so that the other trials are the same.
-    assert plans[1].trials[: len(plans[0].trials)] == plans[0].trials
 
 
 def test_audit_finds_another_level(tmp_path: Path, stimuli: StimulusSet, now: Any) -> None:

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.session.journal import Records
 from feel321.study.session.plan import replay
 from feel321.study.session.ports import Abort, Playback
 
@@ -122,24 +121,6 @@ def test_a_page_waits_before_the_first_vibration_of_a_resumed_session(
     assert records[-1].event == "finished"
 
 
-def test_pages_aside_from_the_plan_change_nothing_in_replay(
-    present: Present, scripted: type, plan: Plan
-) -> None:
-    """A journal of a version without them goes on as the same journal with them does."""
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=5))
-    records = present(scripted(playbacks={(8, 1): fail(), (9, 1): fail()}))
-    aside = {"ready", "call_us"}
-    old = [
-        record
-        for record in records
-        if record.event != "device_failed" and record.data.get("key") not in aside
-    ]
-    assert {record.data.get("key") for record in records} >= aside
-    assert len(old) == len(records) - 3
-    assert replay(plan, old).done == replay(plan, records).done == 20
-
-
 def test_a_fault_of_the_presenter_is_recorded_in_its_own_words(
     present: Present, scripted: type
 ) -> None:
@@ -151,28 +132,6 @@ def test_a_fault_of_the_presenter_is_recorded_in_its_own_words(
         present(Broken())
     (aborted,) = list_events(present(scripted()), "aborted")
     assert aborted["reason"] == "RuntimeError: device HX-1 unplugged"
-
-
-def test_the_clock_goes_on_where_it_stopped(present: Present, scripted: type) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=5))
-    records = present(scripted())
-    times = [record.data["time_s"] for record in records if "time_s" in record.data]
-    assert times == sorted(times)
-    (resumed,) = [record for record in records if record.event == "resumed"]
-    before = Records(records[: records.index(resumed)])
-    assert resumed.data["clock"]["presenter_s"] == before.find_elapsed() > 0
-
-
-def test_replaying_a_journal_cut_after_any_record_never_contradicts_the_plan(
-    present: Present, scripted: type, plan: Plan
-) -> None:
-    records = present(
-        scripted(playbacks={(3, 1): fail(), (7, 1): [Playback(1.0, 1.0, underruns=2)]})
-    )
-    done = [replay(plan, records[:kept]).done for kept in range(len(records) + 1)]
-    assert done == sorted(done)
-    assert (done[0], done[-1]) == (0, 20)
 
 
 def test_a_journal_that_tells_of_another_order_is_refused_with_its_line(

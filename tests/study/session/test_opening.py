@@ -11,15 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.study.session.events import PageRead
-from feel321.study.session.journal import (
-    create_journal,
-    list_journals,
-    read_journal,
-    require_journal,
-    utc_now,
-)
+from feel321.study.session.journal import create_journal, read_journal, require_journal, utc_now
 from feel321.study.session.opening import open_session
-from feel321.study.session.plan import Stale, create_plan, make_plan, require_plan
+from feel321.study.session.plan import Stale, make_plan, require_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -111,26 +105,6 @@ def test_a_later_version_runs_the_stored_plan_and_not_the_order_that_it_would_ma
     assert "show 11.1 similarity" in again.log
 
 
-def test_a_plan_that_was_exchanged_before_its_session_is_refused(
-    present: Present, scripted: type, plan: Plan, folder: Path
-) -> None:
-    folder.mkdir(parents=True)
-    create_plan(folder / "plan.json", replace(plan, trials=plan.trials[::-1]))
-    with pytest.raises(
-        ValueError,
-        match=r"plan\.json: holds other trials than the study gives; remove the file, or",
-    ):
-        present(scripted(), plan=plan)
-
-
-def test_the_hundredth_session_is_a_session(folder: Path) -> None:
-    folder.mkdir(parents=True)
-    for name in ("100", "99", "01", "101", "1"):  # the last is not a name that is ever given
-        (folder / f"session-{name}.jsonl").touch()
-    names = [path.name for path in list_journals(folder)]
-    assert names == [f"session-{number}.jsonl" for number in ("01", "99", "100", "101")]
-
-
 @pytest.mark.parametrize(
     ("change", "difference"),
     [
@@ -192,20 +166,6 @@ def test_who_comes_back_late_warms_up(leave: Callable[..., list[Any]], practised
         if trial.phase == "practice" and trial.protocol == "realism"
     ]
     assert rated_trials(records)[:6] == [*practice, 1, *practice, 2]
-
-
-def test_an_opening_that_was_broken_off_does_not_make_a_session_fresh(
-    present: Present, scripted: type, practised: Plan, folder: Path
-) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        present(scripted(stop_after=3), plan=practised)
-    path = folder / "session-01.jsonl"
-    later = datetime.fromisoformat(read_journal(path).records[-1].utc) + timedelta(hours=7)
-    journal = require_journal(path, now=lambda: later)
-    for event in ("resumed", "device"):
-        journal.write(event, {})
-    records = present(scripted(), plan=practised, now=lambda: later)
-    assert len(list_events(records, "warm_up")) == 1
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,6 @@ import pytest
 from feel321.protocols.tasks import make_task, refine_task
 from feel321.protocols.trial import Flow
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.minutes import Sitting
-from feel321.study.observer.model import ObserverModel
-from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.plan import make_plan
 from feel321.study.session.ports import Confirm, Playback, TimedOut
 
@@ -108,17 +105,6 @@ def test_who_never_answers_in_time_is_given_up_by_the_rules_of_the_session(
     assert list(audit_steps(records, plan)) == []
 
 
-def test_a_session_that_ends_after_a_time_out_goes_on(
-    present: Callable[..., list[Any]], timed: type, make: MakePlan
-) -> None:
-    plan = make(answer_timeout_s=4.0)
-    with pytest.raises(KeyboardInterrupt):
-        present(timed(acts=slow(plan, (1, 1)), stop_after=1), plan=plan)
-    records = present(timed(), plan=plan)
-    assert records[-1].data == {"trials": 10, "given_up": 0}
-    assert list(audit_steps(records, plan)) == []
-
-
 def test_a_time_out_that_no_task_has_is_found(
     present: Callable[..., list[Any]], timed: type, make: MakePlan
 ) -> None:
@@ -162,41 +148,3 @@ def test_no_page_comes_between_trials_with_fixed_onsets(
     assert presenter.log[place - 1].startswith("show 3.1")
     assert presenter.log.count("refuse timed_out") == 1
     assert list(audit_steps(records, plan)) == []
-
-
-def test_simulated_participants_keep_the_pace(make: MakePlan, stimuli: StimulusSet) -> None:
-    plan = make(onset_s=30.0, answer_timeout_s=1.0)
-    observer = SimulatedObserver(ObserverModel(), seed=1, number=1)
-    from feel321.protocols.texts import read_scales
-    from feel321.study.session.plan import list_by_code
-    from feel321.study.session.ports import Place
-
-    by_code, late, onsets = list_by_code(stimuli, seed=plan.seed), 0, []
-    for trial in plan.trials:
-        observer.show_trial(trial, read_scales()["realism"], Place(0, 10))
-        part = trial.parts[0]
-        due_s = 30.0 * trial.number
-        stimulus = by_code[part.stimulus_id or ""]
-        onsets.append(observer.play(part, stimulus, gap_s=0.5, due_s=due_s).onset_s)
-        act = observer.wait(limit_s=1.0)
-        late += isinstance(act, TimedOut)
-        if isinstance(act, TimedOut):
-            assert act.time_s == pytest.approx(due_s + 1.0 + 1.0)  # the stimulus, then the limit
-        else:
-            assert act.response_time_s <= 1.0
-    assert onsets == [30.0 * trial.number for trial in plan.trials]
-    assert late >= 7  # the median answer takes 2 s
-
-
-def test_the_estimate_of_the_length_knows_the_pace(make: MakePlan) -> None:
-    durations = {"bumps": 1.0, "taps": 1.0}
-    from feel321.study.minutes import Pace as People
-
-    def measure(**options: float) -> float:
-        plan = make(**options)
-        return Sitting.plan(plan, plan.flow, durations).count_down(People({}, 2.0, 0.0))[0]
-
-    usual = measure()
-    assert measure(gap_s=2.5) == pytest.approx(usual + 10 * 2.0)
-    assert measure(onset_s=20.0) == pytest.approx(usual + 10 * (20.0 - 3.5))
-    assert measure(onset_s=1.0) == pytest.approx(usual)

@@ -2,13 +2,11 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from itertools import count
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.trial import Flow
 from feel321.study.session.journal import digest
 from feel321.study.session.plan import Plan, create_plan, list_codes, make_plan, require_plan
 
@@ -49,21 +47,6 @@ def test_no_plan_tells_what_a_stimulus_was_made_by(
     ]
 
 
-def test_rehearsal_does_not_move_the_order_and_is_numbered_behind_it(
-    design: Design, stimuli: StimulusSet
-) -> None:
-    rehearsed = replace(
-        design, tasks=tuple(replace(task, training=2, practice=1) for task in design.tasks)
-    )
-    plain, plan = remake(design, stimuli), remake(rehearsed, stimuli)
-    assert [t for t in plan.trials if t.phase == "main"] == list(plain.trials)
-    assert [t.number for t in plan.trials] == list(range(1, len(plan.trials) + 1))
-    assert [t.phase for t in plan.trials[20:]].count("training") == 4
-    # Everybody rehearses with stimuli of their own.
-    lessons = {remake(rehearsed, stimuli, number=number).trials[20:] for number in range(1, 6)}
-    assert len({tuple(trial.parts for trial in own) for own in lessons}) > 1
-
-
 def test_groups_take_turns_and_feel_what_is_theirs(design: Design, stimuli: StimulusSet) -> None:
     between = {"protocol": ("realism", "similarity"), "grip": ("pen", "power")}
     plans = [
@@ -84,42 +67,6 @@ def test_groups_take_turns_and_feel_what_is_theirs(design: Design, stimuli: Stim
     assert [t.judgements for t in plans[4].trials] == [
         t.judgements for t in remake(alone, stimuli, number=2).trials
     ]
-
-
-def test_same_arguments_give_the_same_digest_and_any_other_another(
-    design: Design, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    numbers = count()
-
-    def store(plan: Plan) -> str:
-        path = tmp_path / f"{next(numbers)}.json"
-        create_plan(path, plan)
-        return require_plan(path).sha256
-
-    usual = remake(design, stimuli)
-    assert store(usual) == store(remake(design, stimuli))
-    changes: list[dict[str, Any]] = [
-        {"seed": 8}, {"repeats": 2}, {"order": "random"}, {"tasks": design.tasks[::-1]}, {"flow": Flow(gap_s=1.0)},
-        {"between": {"grip": ("pen",)}}, {"task_order": "counterbalanced"},
-    ]  # fmt: skip
-    digests = {
-        store(usual),
-        *(store(remake(replace(design, **change), stimuli)) for change in changes),
-    }
-    digests |= {store(remake(design, stimuli, "p02")), store(remake(design, stimuli, number=2))}
-    digests |= {
-        store(remake(design, replace(stimuli, sha256="6"))),
-        store(replace(usual, simulated=False)),
-    }
-    assert len(digests) == 12
-
-
-@pytest.mark.parametrize("name", ["", "a b", "../a", "-a", "ä"])
-def test_participants_are_called_what_a_folder_can_be_called(
-    design: Design, stimuli: StimulusSet, name: str
-) -> None:
-    with pytest.raises(ValueError, match=r"participant must be letters, digits, - and _, got"):
-        remake(design, stimuli, name)
 
 
 def test_a_stored_plan_survives_a_power_cut(plan: Plan, tmp_path: Path, synced: list[int]) -> None:
@@ -157,26 +104,6 @@ def test_what_is_no_plan_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "plan.json").write_text(content, encoding="utf-8")
     with pytest.raises(ValueError, match="not a plan"):
         require_plan(tmp_path / "plan.json")
-
-
-def test_tasks_take_turns_where_they_are_counterbalanced(
-    design: Design, stimuli: StimulusSet, tmp_path: Path
-) -> None:
-    turned = [
-        remake(replace(design, task_order="counterbalanced"), stimuli, number=number)
-        for number in (1, 2, 3)
-    ]
-    sections = [list(dict.fromkeys(t.protocol for t in own.trials)) for own in turned]
-    assert sections == [[task.protocol for task in own.tasks] for own in turned]
-    assert sections == [["realism", "similarity"], ["similarity", "realism"], sections[0]]
-    create_plan(tmp_path / "turned.json", turned[1])
-    assert require_plan(tmp_path / "turned.json") == turned[1]
-    # What everybody feels in a task does not depend on when it comes.
-    for number, own in enumerate(turned, start=1):
-        usual = remake(design, stimuli, number=number)
-        assert [t.parts for t in own.trials if t.protocol == "similarity"] == [
-            t.parts for t in usual.trials if t.protocol == "similarity"
-        ]
 
 
 @pytest.mark.parametrize("entry", [{}, {"format": 3}, {"format": 2, "flow": None}])

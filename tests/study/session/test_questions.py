@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import Question
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.persons import answers
-from feel321.study.session.plan import create_plan, make_plan, read_dossier, require_plan
+from feel321.study.session.plan import make_plan, read_dossier
 from feel321.study.session.ports import Abort, Confirm, Pause
 
 if TYPE_CHECKING:
@@ -59,17 +58,6 @@ def test_questions_come_at_their_time_and_are_recorded(
     assert log[log.index("ask tired") + 1] == "page rest"
     assert log[-2:] == ["ask last", "page end"]
     assert list(audit_steps(records, asking)) == []
-
-
-def test_one_task_has_its_rest_and_its_question_in_the_middle(
-    present: Callable[..., list[Any]], scripted: type, design: Design, stimuli: StimulusSet
-) -> None:
-    tasks = tuple(make_task(name) for name in ("realism", "similarity", "dissimilarity"))
-    for own, occasions in ((tasks[:1], [1]), (tasks, [1, 2])):
-        changed = replace(design, tasks=own, questions=QUESTIONS[2:3])
-        plan = make_plan(changed, stimuli, f"p{len(own)}", number=1, simulated=True)
-        records = present(scripted(), plan=plan)
-        assert [occasion for _, occasion, *_ in list_answers(records)] == occasions
 
 
 def test_a_broken_session_goes_on_without_asking_twice(
@@ -127,12 +115,6 @@ def test_the_audit_finds_a_forged_answer(
     place = next(n for n, record in enumerate(records) if record.event == "answered")
     records[place] = replace(records[place], data={**records[place].data, **forged})
     assert next(audit_steps(records, asking), "").startswith(f", line {place + 1}: ")
-
-
-def test_a_plan_holds_its_questions(tmp_path: Path, asking: Plan) -> None:
-    create_plan(tmp_path / "asking.json", asking)
-    stored = require_plan(tmp_path / "asking.json")
-    assert asdict(stored) == asdict(asking) | {"sha256": stored.sha256}
 
 
 def test_the_table_of_answers_says_whose_and_which(

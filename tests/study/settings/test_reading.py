@@ -33,7 +33,7 @@ from feel321.study.cli import main
 from feel321.study.folder import create_study, read_template
 from feel321.study.observer.model import ObserverModel
 from feel321.study.session.plan import Design, Stale
-from feel321.study.session.ports import REFUSALS, Surface
+from feel321.study.session.ports import Surface
 from feel321.study.settings.read import (
     find_language,
     list_surfaces,
@@ -342,7 +342,8 @@ def test_the_ready_page_is_asked_in_the_language_of_the_study(
     own = [one["question"] for one in texts["questions"]["demographics"].values()]
     assert [question.question for question in questions] == own
     assert all(q.personal and not q.required and q.when == "after" for q in questions)
-    assert tuple(texts["refusals"]) == REFUSALS
+    refusals = ("not_felt", "not_answered", "no_replay", "unknown_part", "too_early")
+    assert tuple(texts["refusals"]) == refusals
 
 
 def test_scales_of_the_labs_own_reach_the_texts_and_the_tasks(

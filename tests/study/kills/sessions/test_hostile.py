@@ -126,36 +126,6 @@ def test_a_full_disk_under_a_plan(
 
 
 @pytest.mark.usefixtures("may_mount")
-@pytest.mark.parametrize("size", ["72k", "112k", "160k"])
-def test_a_small_disk_that_is_given_more_room(
-    lab: Any, study: StudyFolder, whole: StudyFolder, size: str, tmp_path: Path
-) -> None:
-    settings = study.settings.read_text(encoding="utf-8")
-
-    def insert_small_disk() -> None:
-        leave_mounts()
-        mount("-t", "tmpfs", "-o", f"size={size}", "none", study.path)
-        study.settings.write_text(settings, encoding="utf-8")
-        study.stimuli.symlink_to(whole.stimuli.resolve())
-
-    def save() -> int:
-        shutil.copy(study.ratings, tmp_path / "ratings.csv")
-        return main(["audit", str(study.path)])
-
-    commands = [
-        partial(simulate, study),
-        lambda: mount("-o", "remount,size=9m", study.path),
-        partial(simulate, study),
-    ]
-    said = lab.processes.speak(insert_small_disk, *commands, save, path=tmp_path / "said")
-    assert said.code == 0, said.err
-    assert (
-        "make room" in said.err.splitlines()[0] or "the disk has room" in said.err.splitlines()[0]
-    )
-    assert (tmp_path / "ratings.csv").read_bytes() == whole.ratings.read_bytes()
-
-
-@pytest.mark.usefixtures("may_mount")
 def test_a_read_only_folder_can_be_looked_at(
     lab: Any, finished: StudyFolder, tmp_path: Path
 ) -> None:
@@ -181,21 +151,6 @@ def test_a_read_only_folder_can_be_looked_at(
     } == before
 
 
-@pytest.mark.usefixtures("may_mount")
-def test_a_read_only_folder_in_which_nothing_was_begun(
-    lab: Any, study: StudyFolder, tmp_path: Path
-) -> None:
-    def lock_folder() -> None:
-        leave_mounts()
-        mount("--bind", study.path, study.path)
-        mount("-o", "remount,ro,bind", study.path)
-
-    said = lab.processes.speak(lock_folder, partial(simulate, study), path=tmp_path / "said")
-    assert (said.code, said.err.count("\n")) == (1, 1), said.err
-    assert said.err.startswith(f"feel321: {study.sessions}")
-    assert "Read-only file system" in said.err
-
-
 def test_a_second_writer_is_sent_away(lab: Any, finished: StudyFolder, tmp_path: Path) -> None:
     busy = hold_lock(finished.sessions / "sim001" / ".lock", busy="")
     with busy:
@@ -213,24 +168,6 @@ def test_a_second_writer_is_sent_away(lab: Any, finished: StudyFolder, tmp_path:
     )
     assert (simulated.code, withdrawn.code) == (1, 1)
     assert audit_study(finished) == []
-
-
-def test_two_simulations_at_once_share_no_journal(
-    lab: Any, study: StudyFolder, whole: StudyFolder, tmp_path: Path
-) -> None:
-    started = [
-        lab.processes.whisper(partial(simulate, study), path=tmp_path / f"said{n}")
-        for n in range(2)
-    ]
-    ended = [
-        (lab.processes.wait(child), err.read_text(encoding="utf-8")) for child, (_, err) in started
-    ]
-    for code, said in ended:
-        assert (code, said.count("\n")) in {(0, 0), (1, 1)}, said
-        assert (
-            code == 0 or "another session is writing here; let it finish or stop it first" in said
-        )
-    check_all_there(lab, study, whole)
 
 
 def test_a_withdrawal_while_others_are_simulated(
