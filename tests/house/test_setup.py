@@ -1,4 +1,4 @@
-"""Set-up is written down once: the Makefile's commands, the pins, the system packages, the version, the wheel."""
+"""Set-up is written down once: the pins, the reasons of dependencies and system packages, the wheel."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import subprocess
 import sys
 import tarfile
 import zipfile
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -16,8 +15,6 @@ from packaging.utils import canonicalize_name
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-COMMANDS = {"demo", "test", "coverage", "check", "bench", "soak", "clean", "help"}
 
 
 @pytest.fixture(scope="module")
@@ -41,13 +38,6 @@ def run(*command: str, cwd: Path) -> str:
     return done.stdout
 
 
-def test_every_command_of_make_is_listed_and_a_target(root: Path) -> None:
-    listed = run("make", "--no-print-directory", "help", cwd=root)
-    assert {line.split()[1] for line in listed.splitlines()} >= COMMANDS
-    for command in COMMANDS:
-        assert run("make", "--no-print-directory", "-n", command, cwd=root)
-
-
 def test_everything_required_is_pinned(required: list[str], pins: set[str]) -> None:
     assert set(required) - pins == set()
 
@@ -61,12 +51,6 @@ def test_every_dependency_has_its_reason_and_no_other_is_listed(
     assert sorted(explained) == required
     lines = (root / ".ci" / "packages.txt").read_text(encoding="utf-8").splitlines()
     assert [one for one in lines if not re.fullmatch(r"[a-z0-9][a-z0-9.+-]+  # .{10,}", one)] == []
-
-
-def test_one_version(pyproject: Any, root: Path) -> None:
-    home, number = pyproject["tool"]["hatch"]["version"]["path"], f'"{version("feel321")}"'
-    sources = sorted((root / "feel321").rglob("*.py"))
-    assert [one for one in sources if number in one.read_text(encoding="utf-8")] == [root / home]
 
 
 def test_wheel_and_sdist_hold_the_package_and_no_stranger(root: Path, tmp_path: Path) -> None:
