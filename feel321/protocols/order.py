@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, groupby, pairwise
-from math import gcd, sqrt
+from math import gcd
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from feel321.doors import Registry, as_rng, check_name, describe
@@ -508,80 +508,38 @@ def _choose(
 
 # How balanced the orders of several participants are.
 
-
-@dataclass(frozen=True, slots=True)
-class Counts:
-    """How often conditions met places, or each other; what never met counts 0 and takes no memory.
-
-    possible: what each condition may meet besides itself.
-    """
-
-    seen: Counter[tuple[str, Any]]
-    possible: Mapping[str, Collection[Any]]
-
-    @property
-    def size(self) -> int:
-        """Number of pairs that could meet."""
-        return sum(len(others) - (one in others) for one, others in self.possible.items())
-
-    def find_ends(self) -> tuple[int, int]:
-        """Find the lowest and the highest count; 0 where nothing could meet."""
-        lowest = min(self.seen.values(), default=0) if len(self.seen) == self.size else 0
-        return lowest, max(self.seen.values(), default=0)
-
-    def measure_variation(self) -> float:
-        """Coefficient of variation: 0 for perfect balance; about sqrt((m - 1) / k) for k random orders of m."""
-        if not (total := self.seen.total()):
-            return 0.0
-        size = self.size
-        mean, missing = total / size, size - len(self.seen)
-        squares = sum((count - mean) ** 2 for count in self.seen.values()) + missing * mean**2
-        return sqrt(squares / size) / mean
+Ends = tuple[int, int]
 
 
-@dataclass(frozen=True, slots=True)
-class Balance:
-    """How evenly conditions met positions (from 1), and were followed at once by each other; repeats: by themselves."""
+def measure_balance(groups: Iterable[Sequence[Sequence[str]]]) -> tuple[Ends, Ends]:
+    """Find the lowest and the highest count of a condition at a position, and of one right after another.
 
-    positions: Counts
-    carry_over: Counts
-    repeats: int
-
-
-def measure_balance(sequences: Sequence[Sequence[str]]) -> Balance:
-    """Measure the balance of conditions over the sequences of participants; those that broke off are shorter.
+    groups: the orders of participants who had the same conditions, such as those of each recording; conditions of
+    different groups could not meet. Orders that broke off are shorter.
 
     Examples
     --------
-    >>> balance = measure_balance(["ABDC", "BCAD", "CDBA", "DACB"])
-    >>> balance.positions.find_ends(), balance.carry_over.find_ends()
+    >>> measure_balance([["ABDC", "BCAD", "CDBA", "DACB"]])
     ((1, 1), (1, 1))
     """
-    conditions = dict.fromkeys(sorted(set(chain.from_iterable(sequences))))
-    if not conditions:
-        raise ValueError("sequences must hold at least one condition that was run, got none")
-    places = range(1, max(map(len, sequences)) + 1)
-    positions = Counter(spot for own in sequences for spot in zip(own, places, strict=False))
-    neighbours = Counter(pair for own in sequences for pair in pairwise(own))
-    repeats = sum(neighbours.pop((condition, condition), 0) for condition in conditions)
-    carry_over = Counts(neighbours, dict.fromkeys(conditions, conditions))
-    return Balance(Counts(positions, dict.fromkeys(conditions, places)), carry_over, repeats)
+    places: Counter[tuple[str, int]] = Counter()
+    neighbours: Counter[tuple[str, str]] = Counter()
+    longest: dict[str, int] = {}
+    others: dict[str, frozenset[str]] = {}
+    for orders in groups:
+        conditions = frozenset(chain.from_iterable(orders))
+        most = max(map(len, orders))
+        for one in conditions:
+            longest[one] = max(longest.get(one, 0), most)
+            known = others.get(one)
+            others[one] = conditions if known is None else known | conditions
+        places.update(spot for own in orders for spot in zip(own, range(most), strict=False))
+        neighbours.update(pair for own in orders for pair in pairwise(own) if pair[0] != pair[1])
+    n_pairs = sum(len(met) - 1 for met in others.values())
+    return _find_ends(places, sum(longest.values())), _find_ends(neighbours, n_pairs)
 
 
-def pool_balances(balances: Iterable[Balance]) -> Balance:
-    """Pool the balances of one or more groups of conditions, such as those of each recording."""
-    pooled = tuple(balances)
-    positions = _pool([one.positions for one in pooled])
-    carry_over = _pool([one.carry_over for one in pooled])
-    return Balance(positions, carry_over, sum(one.repeats for one in pooled))
-
-
-def _pool(several: Sequence[Counts]) -> Counts:
-    seen: Counter[tuple[str, Any]] = Counter()
-    possible: dict[str, Collection[Any]] = {}
-    for counts in several:
-        seen.update(counts.seen)
-        for one, others in counts.possible.items():
-            known = possible.get(one)
-            possible[one] = others if known is None else dict.fromkeys(chain(known, others))
-    return Counts(seen, possible)
+def _find_ends(counts: Counter[Any], size: int) -> Ends:
+    """Find the ends of counts; what never met is not among them, and counts 0."""
+    lowest = min(counts.values(), default=0) if len(counts) == size else 0
+    return lowest, max(counts.values(), default=0)

@@ -13,7 +13,7 @@ from feel321.doors import announce
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
 from feel321.protocols.compare import count_rows
-from feel321.protocols.order import TASK_ORDERS, measure_balance, pool_balances
+from feel321.protocols.order import TASK_ORDERS, measure_balance
 from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -84,15 +84,15 @@ def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> Balanc
     of_trials = cycles * any(plan.order == "williams" for plan in whole)
     evenness = []
     for (task, what), sequences in groups.items():
-        balance = pool_balances(measure_balance(group) for group in sequences.values())
+        positions, carry_over = measure_balance(sequences.values())
         round_of = lcm(*(count_rows(len(among)) for among in sequences))
         evenness.append(
             Evenness(
                 task=task,
                 what=what,
                 cycle=(cycles if what == TASKS else of_trials) * round_of,
-                positions=balance.positions.find_ends(),
-                carry_over=balance.carry_over.find_ends(),
+                positions=positions,
+                carry_over=carry_over,
             )
         )
     over = [one.records for one, _ in run if one.records.has(SessionFinished)]

@@ -16,6 +16,8 @@ from dataclasses import asdict, dataclass, field, fields
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Any
 
+from pydantic_core import from_json, to_json
+
 from feel321.files import create_text
 from feel321.protocols import order as orders
 from feel321.protocols.agenda import Agenda
@@ -247,10 +249,10 @@ def _read_plan(content: bytes, path: Path) -> Plan:
             f"{path}: not a plan, or changed after it was stored; restore the file from a copy"
         )
     try:
-        entry = json.loads(body)
+        entry = from_json(body)
         stored = entry.pop("format", None)
         entry |= {} if stored == FORMAT else {f"format {stored}, not {FORMAT}": stored}
-        text = json.dumps({**entry, "sha256": journals.digest(body)})
+        text = to_json({**entry, "sha256": journals.digest(body)})
         return _make_adapter().validate_json(text, strict=True, extra="forbid")
     except (ValueError, AttributeError, RecursionError) as error:
         reason = events.describe_fault(error)

@@ -11,7 +11,7 @@ import time
 import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import Question, read_ready, read_texts
@@ -102,132 +102,83 @@ def make_views(
 ) -> dict[str, View]:
     """Every page, and every kind of trial in every state, with the longest notices."""
     place = Place(12, 80)
+
+    def show(kind: str, state: str, number: int = 50, **more: Any) -> View:
+        return View(kind, state, number, place, **more)
+
     views = {}
+    waiting = {"break", "rest", "threshold_next", "matching_done"}
     for number, key in enumerate(texts["pages"]):
         by = "experimenter" if key in {"training_failed", "call_us"} else "participant"
-        left_s = 27 if key in {"break", "rest", "threshold_next", "matching_done"} else 0
+        left_s = 27 if key in waiting else 0
         notice = texts["prompts"]["end_next"] if key == "pause" else ""
         notice = texts["refusals"]["too_early"] if left_s else notice
-        views[f"page {key}"] = View(
-            "page",
-            "reading",
-            number,
-            place,
-            page=Page(key, 60.0 if left_s else 0.0, by),
-            left_s=left_s,
-            notice=notice,
-        )
+        page = Page(key, 60.0 if left_s else 0.0, by)
+        view = show("page", "reading", number, page=page, left_s=left_s, notice=notice)
+        views[f"page {key}"] = view
     for number, question in enumerate(make_questions(texts)):
         filled = {"typed": "9" * 500 if question.kind == "text" else "99", "chosen": "1"}
-        views[f"question {question.name} open"] = View(
-            "page", "reading", 40 + number, place, page=Page(question.key), question=question
-        )
-        views[f"question {question.name} answered"] = replace(
-            views[f"question {question.name} open"], felt=frozenset({question.name}), **filled
-        )
+        view = show("page", "reading", 40 + number, page=Page(question.key), question=question)
+        views[f"question {question.name} open"] = view
+        answered = replace(view, felt=frozenset({question.name}), **filled)
+        views[f"question {question.name} answered"] = answered
     names = ", ".join(texts["parts"].get(name, name) for name in ("reference", "test"))
     missing = texts["refusals"]["not_felt"].format(parts=names)
+    kinds = dict.fromkeys(("abx", "triplet", "preference", THRESHOLD), "choice") | {
+        "mushra": "rows"
+    }
     for name in PARTS:
-        trial = make_trial(name)
-        kinds = dict.fromkeys(("abx", "triplet", "preference", THRESHOLD), "choice")
-        kind = (kinds | {"mushra": "rows"}).get(name, "slider")
+        trial, kind = make_trial(name), kinds.get(name, "slider")
         parts = [part.name for part in trial.parts]
         judged = [judgement.part for judgement in trial.judgements]
         shown = picture if name in {"touched", "realism"} else None
-        base = {"trial": trial, "scale": scales[trial.scale], "picture": shown, "sample": "Cotton"}
-        views[f"{name} feeling"] = View(
-            kind,
-            "feeling",
-            50,
-            place,
-            **base,
-            playing=parts[-1],
-            felt=frozenset(parts[:-1]),
-            loops=kind == "rows",
-            selected=judged[0],
+        scale = scales[trial.scale]
+        base = {"trial": trial, "scale": scale, "picture": shown, "sample": "Cotton"}
+        feeling = show(kind, "feeling", **base, playing=parts[-1], selected=judged[0])
+        views[f"{name} feeling"] = replace(
+            feeling, felt=frozenset(parts[:-1]), loops=kind == "rows"
         )
-        views[f"{name} fresh"] = View(
-            kind,
-            "answering",
-            50,
-            place,
-            **base,
-            felt=frozenset(parts),
-            selected=judged[0],
-            notice=missing,
-        )
-        markers = (
-            {part: 100.0 if n == 0 else 7.0 * n for n, part in enumerate(judged)}
-            if kind != "choice"
-            else {}
-        )
-        views[f"{name} answered"] = View(
-            kind,
-            "answering",
-            50,
-            place,
-            **base,
-            felt=frozenset(parts),
-            markers=markers,
+        fresh = show(kind, "answering", **base, felt=frozenset(parts), selected=judged[0])
+        views[f"{name} fresh"] = replace(fresh, notice=missing)
+        markers = {part: 100.0 if n == 0 else 7.0 * n for n, part in enumerate(judged)}
+        views[f"{name} answered"] = replace(
+            fresh,
+            markers={} if kind == "choice" else markers,
             selected=judged[-1],
-            chosen=(scales[trial.scale].choices or ("",))[-1],
+            chosen=(scale.choices or ("",))[-1],
         )
     for name, count in (("realism", 2), ("similarity", 3), ("dissimilarity", 4)):
-        trial = make_trial(name)
-        asked = ask_on_scales(trial.judgements, (name, *list(OWN)[: count - 1]), own=name)
+        trial, more = make_trial(name), dict(list(OWN.items())[: count - 1])
+        asked = ask_on_scales(trial.judgements, (name, *more), own=name)
         trial = replace(trial, judgements=asked)
-        own = tuple(Scale(key, *words) for key, words in list(OWN.items())[: count - 1])
-        views[f"{count} scales fresh"] = View(
-            "scales",
-            "answering",
-            53,
-            place,
-            trial=trial,
+        own = tuple(Scale(key, *words) for key, words in more.items())
+        view = show("scales", "answering", 53, trial=trial, selected=trial.judged[0])
+        fresh = replace(
+            view,
             scale=replace(scales[name], further=own),
             felt=frozenset(part.name for part in trial.parts),
-            selected=trial.judged[0],
             picture=picture if count < 4 else None,
             notice=missing,
         )
+        views[f"{count} scales fresh"] = fresh
+        markers = {key: 100.0 - 33 * n for n, key in enumerate(trial.judged)}
         views[f"{count} scales answered"] = replace(
-            views[f"{count} scales fresh"],
-            markers={key: 100.0 - 33 * n for n, key in enumerate(trial.judged)},
-            selected=trial.judged[-1],
-            typed="1",
-            notice="",
+            fresh, markers=markers, selected=trial.judged[-1], typed="1", notice=""
         )
-        views[f"{count} scales feeling"] = replace(
-            views[f"{count} scales fresh"],
-            state="feeling",
-            playing=trial.parts[-1].name,
-            felt=frozenset(),
-            notice="",
-        )
-    trial = make_trial("touched")
-    views["touched stroking"] = View(
-        "slider",
-        "stroking",
-        51,
-        place,
-        trial=trial,
+        playing = {"state": "feeling", "playing": trial.parts[-1].name}
+        views[f"{count} scales feeling"] = replace(fresh, **playing, felt=frozenset(), notice="")
+    stroking = show("slider", "stroking", 51, trial=make_trial("touched"), selected="test")
+    views["touched stroking"] = replace(
+        stroking,
         scale=scales["realism"],
         playing="surface",
         picture=picture,
         sample="Cotton on foam, sample 14",
-        selected="test",
     )
     trial = make_trial("mushra", rows=5)
-    views["mushra of five"] = View(
-        "rows",
-        "answering",
-        52,
-        place,
-        trial=trial,
-        scale=scales["mushra"],
-        felt=frozenset({"reference", "2", "3"}),
-        markers={"2": 44.0},
-        selected="3",
-    )
+    rows = show("rows", "answering", 52, trial=trial, scale=scales["mushra"], selected="3")
+    felt = frozenset({"reference", "2", "3"})
+    views["mushra of five"] = replace(rows, felt=felt, markers={"2": 44.0})
     return views
 
 
