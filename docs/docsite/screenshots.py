@@ -34,8 +34,8 @@ def save(path: Path, made: Path, *, colours: int = 32) -> None:
 def save_screens(folder: Path) -> None:
     """Save a picture of every task's screen."""
     from feel321.protocols.texts import read_scales, read_texts
+    from feel321.study.screen.input import make_screen_texts
     from feel321.study.screen.layout import compose
-    from feel321.study.screen.view import make_screen_texts
     from feel321.study.screen.window import open_screen
 
     folder.mkdir(exist_ok=True)

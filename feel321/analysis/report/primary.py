@@ -18,10 +18,10 @@ from feel321.analysis.primary import sensitivity
 from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
-from feel321.analysis.replication.measures import explain_spread
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
 from feel321.analysis.table.items import Part, format_recordings, split_tests
+from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import AMPLITUDE, STAND_INS
 from feel321.analysis.words import SATTERTHWAITE, TWO_WAY, format_count, format_name
 
@@ -324,11 +324,20 @@ def _describe_part(part: Part, slopes: Sequence[Slope]) -> Row:
         "blank": all(one["verdict"] == NOT_ESTIMABLE for one in findings),
         "comparisons": list(_compare_slopes(model, findings)),
         "exceptions": [row for row in odd if row["exceptional"]],
-        "spreads": list(filter(None, (explain_spread(part.rows, one.metric) for one in slopes))),
+        "spreads": list(filter(None, (_explain_spread(part.rows, one.metric) for one in slopes))),
         "unbounded": any(one.metric == UNBOUNDED for one in slopes),
         "sizes": _count_units(model), "n_items": model.n_items, "n_recordings": model.n_recordings,
         "level": model.level, "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
     }  # fmt: skip
+
+
+def _explain_spread(rows: DataFrame, metric: str) -> str:
+    """Say why a spread over orientations may go with ratings the wrong way; of other metrics nothing."""
+    if metric not in ROTATIONS:
+        return ""
+    from feel321.analysis.replication.measures import explain_spread
+
+    return explain_spread(rows, metric)
 
 
 def _describe_slope(one: Slope) -> Row:

@@ -16,7 +16,6 @@ from feel321.analysis.association.correlate import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer, correlations, pairs, primary, raters, reducers
-from feel321.analysis.report import paper as papers
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.folder import DETAILS, PAGE, ResultsFolder, list_files
 from feel321.analysis.report.section import FIXED, Found, Row, Section
@@ -41,7 +40,7 @@ SCHEMA_VERSION = 2
 
 TITLE = "Do the metrics predict the ratings?"
 QUESTIONS: Mapping[str, str] = {
-    "paper": papers.TITLE,
+    "paper": "The paper's questions",
     "predict": TITLE,
     "differ": "How do the reducers differ?",
     "apart": "Can people tell them apart?",
@@ -292,8 +291,10 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
             found = _compute(table, chosen, move)
             sections = list(SECTIONS)
             if paper is not None:
+                from feel321.analysis.report.paper import make_section
+
                 inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
-                sections.insert(0, section := papers.make_section(paper, found))
+                sections.insert(0, section := make_section(paper, found))
                 found = {section.key: section.compute(table, chosen), **found}
             announce("figures and pages")
             results = gather_results(

@@ -183,12 +183,3 @@ def test_a_sink_that_lacks_the_third_channel_is_named() -> None:
         rig, rig.actuators[2], measure_sweep(sweep, recorded), recorded=recorded, sent=sent
     )
     assert found.startswith("dead, its samples move left and right: the sink lacks channel 3")
-
-
-def test_no_device_at_all_is_one_line(pulse: Any, tmp_path: Path) -> None:
-    (pulse.folder / "asound.conf").write_text('pcm.hollow { type pulse server "unix:/nowhere" }\n')
-    done = call(pulse, cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stderr == (
-        'feel321: doctor: no audio device found; plug one in, or play to files: name = "file" in rig.toml\n'
-    )

@@ -150,17 +150,6 @@ def test_what_is_started_stops_what_plays() -> None:
     assert second.is_complete
 
 
-@settings(deadline=None)
-@given(size=st.integers(1, 3000), gap=st.integers(0, 900))
-def test_the_sync_pulse_begins_with_the_stimulus(size: int, gap: int) -> None:
-    mixer, _ = make_mixer(masking=MASKED, sync=SYNC)
-    cue = mixer.start("a", gap_s=gap / RATE)
-    out = fill(mixer, 5000, [size], 5)
-    expected = np.zeros(5000, dtype=np.float32)
-    expected[cue.onset_frame : cue.onset_frame + 80] = 0.25
-    assert_array_equal(out[:, 4], expected)
-
-
 def test_free_switching_cannot_outwit_the_limiter() -> None:
     """Two stimuli that are harmless each, in turn without a pause, stay within the RMS of any second."""
     limits = LimitsTable(peak_m_s2=100.0, rms_m_s2=15.0, duration_s=60.0)

@@ -19,15 +19,6 @@ def read(tmp_path: Path, text: str) -> Rig:
     return read_rig(path)
 
 
-def test_two_voice_coils_are_the_default(tmp_path: Path) -> None:
-    rig = read(tmp_path, LIMITS)
-    assert [(a.name, a.channel, a.plays) for a in rig.actuators] == [
-        ("left coil", 1, ("reduced",)),
-        ("right coil", 2, ("reduced",)),
-    ]
-    assert (rig.n_channels, rig.device.name, rig.sensor) == (2, "file", None)
-
-
 def test_every_table_of_the_template_is_one(tmp_path: Path) -> None:
     """The optional tables of the template, their # taken away, are read and do not collide."""
     lines = [
