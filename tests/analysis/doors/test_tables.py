@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import re
-from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,6 +13,7 @@ import pytest
 from feel321 import analysis
 from feel321.analysis.contrasts import compare
 from feel321.analysis.table.items import find_sources, open_ratings
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -107,9 +107,9 @@ def flatten(result: Any) -> dict[str, Any]:
             for place, one in enumerate(result)
             for name, value in flatten(one).items()
         }
-    if not is_dataclass(result) or isinstance(result, type):
+    if not isinstance(result, Statistic):
         return {"": result}
-    found = [(field.name, getattr(result, field.name)) for field in fields(result)]
+    found = list(result.items())
     return {f"{name}.{key}": one for name, value in found for key, one in flatten(value).items()}
 
 
