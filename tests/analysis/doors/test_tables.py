@@ -11,7 +11,6 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis.association import correlate
 from feel321.analysis.contrasts import compare
 from feel321.analysis.table.items import find_sources, open_ratings
 from feel321.records import Statistic
@@ -61,9 +60,7 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, draws=10, rng=make_rng()),
     "rater_model": analysis.rater_model,
     "screen_raters": lambda table: analysis.screen_raters(table).table,
-    "tabulate_correlations": lambda table: correlate.tabulate_correlations(
-        table, METRICS, draws=10
-    ),
+    "tabulate_correlations": lambda table: analysis.tabulate_correlations(table, METRICS, draws=10),
 }
 
 POOLED = ["compare_metrics", "compare_reducers", "correlate", "fit_primary"]
