@@ -38,7 +38,7 @@ def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> 
     Parameters
     ----------
     table : Table, DataFrame or array_like, shape (targets, raters)
-        Ratings; or numbers, NaN where missing. On a nominal scale words, too; nothing (None) where missing.
+        Ratings; or numbers, NaN where missing; on a nominal scale they stand for names.
     level : str
         ``nominal`` (names), ``ordinal`` (order), ``interval`` (distances: rating scales) or ``ratio``
         (proportions; no negative values).
@@ -74,7 +74,7 @@ def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> 
     from scipy.stats import rankdata
 
     check_name(level, LEVELS, "level")
-    ratings = _read_cells(as_votes(table), level)
+    ratings = read_array(as_votes(table), what="table", axes=("targets", "raters"), missing=True)
     if level == "ratio" and (ratings < 0).any():
         raise ValueError(
             f"table must not be negative on a ratio scale, got {np.nanmin(ratings)}; use level='interval'"
@@ -92,23 +92,6 @@ def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> 
     own = np.split(values, np.cumsum(sizes)[:-1])
     observed = sum(_sum_pairs(one, level) / (len(one) - 1) for one in own)
     return float(1 - (len(values) - 1) * observed / expected)
-
-
-def _read_cells(table: object, level: str) -> Values:
-    """Read the cells; names on a nominal scale are numbered."""
-    from pandas import factorize
-
-    axes = ("targets", "raters")
-    try:
-        return read_array(table, what="table", axes=axes, missing=True)
-    except ValueError as error:
-        if "must hold numbers" not in str(error):
-            raise
-        if level != "nominal":
-            raise ValueError(f"{error}, or use level='nominal' for them") from error
-    cells = np.asarray(table, dtype=object)
-    number = factorize(cells.ravel())[0].astype(np.float64).reshape(cells.shape)
-    return read_array(np.where(number < 0, np.nan, number), what="table", axes=axes, missing=True)
 
 
 def _sum_pairs(values: Values, level: str) -> float:

@@ -215,26 +215,6 @@ def test_ceiling_and_disattenuation_recover_a_perfect_metric() -> None:
     assert found.ceiling == pytest.approx(found.value / found.disattenuated)
 
 
-@pytest.mark.parametrize(
-    ("changes", "note", "narrow_defined"),
-    [
-        ({"participants": 1}, "One participant only: no interval", False),
-        ({"recordings": 1}, "One recording only: no two-way interval", True),
-    ],
-)
-def test_one_of_a_kind_is_a_stated_reduced_analysis(
-    tidy: Callable[..., pd.DataFrame], changes: dict[str, int], note: str, narrow_defined: bool
-) -> None:
-    found = correlate(tidy(**changes), SPECTRAL, draws=50, rng=rng())
-    assert math.isfinite(found.value)
-    assert math.isnan(found.low)
-    assert math.isfinite(found.participants_low) == narrow_defined
-    assert any(line.startswith(note) for line in found.notes)
-    compared = compare_metrics(tidy(**changes), SPECTRAL, TEMPORAL, draws=50, rng=rng())
-    assert math.isfinite(compared.value)
-    assert math.isnan(compared.low)
-
-
 def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> None:
     table = tidy()
     one, two = (correlate(table, name, draws=20, rng=rng()).value for name in (SPECTRAL, TEMPORAL))

@@ -151,18 +151,6 @@ def test_a_prior_makes_separated_abilities_finite() -> None:
         bradley_terry(counts(("a", "b", 5, 1)), prior=-1)
 
 
-def test_a_chain_of_close_pairs_reaches_far() -> None:
-    # Each beats the next 19 : 1 and met no other: the last is 8 log(19) = 23.6 below the first, and well known.
-    chain = counts(*((one, other, 19, 1) for one, other in itertools.pairwise("abcdefghi")))
-    result = bradley_terry(chain)
-    steps = -math.log(19) * np.arange(9)
-    assert result.fixed["estimate"].to_numpy() == pytest.approx(steps, abs=1e-6)
-    # Independent pairs: variances add along the chain.
-    assert result.fixed["se"].to_numpy() == pytest.approx(
-        np.sqrt(np.arange(9) * (1 / 19 + 1)), rel=1e-6
-    )
-
-
 def test_raters_alike_give_walds_errors_and_raters_unlike_give_larger() -> None:
     rng = np.random.default_rng(1)
     alike = bradley_terry(make_trials(raters=40), by_rater=True, draws=400, rng=rng).fixed

@@ -9,13 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 import pytest
-from statsmodels.stats.multitest import multipletests
 
 from feel321 import analysis
 from feel321.analysis import space, standard
 from feel321.analysis.contrasts import compare
-from feel321.analysis.primary.model import adjust_holm
-from feel321.analysis.table.items import Table
 
 if TYPE_CHECKING:
     from feel321.records import Result
@@ -91,28 +88,6 @@ def test_results_are_short_whole_and_keep(results: dict[str, Result], name: str)
     assert json.loads(json.dumps(result.to_dict(), allow_nan=False)) == result.to_dict()
 
 
-def test_one_of_several_scales_is_chosen_by_name(rows: pd.DataFrame, both: pd.DataFrame) -> None:
-    alone = analysis.fit_primary(rows, METRICS)
-    pd.testing.assert_frame_equal(
-        analysis.fit_primary(both, METRICS, scale="realism").slopes, alone.slopes
-    )
-    with pytest.raises(ValueError, match="scale must be one of realism, similarity; got 'realsim'"):
-        analysis.fit_primary(both, METRICS, scale="realsim")
-    with pytest.raises(ValueError, match="realism, similarity"):
-        analysis.fit_primary(both, METRICS)
-    with pytest.raises(
-        ValueError, match="metrics must be a list of one name or more, got none; name col"
-    ):
-        analysis.fit_primary(rows)
-
-
-def test_a_table_brings_its_metrics(rows: pd.DataFrame) -> None:
-    table = Table(rows, tuple(METRICS), ())
-    pd.testing.assert_frame_equal(
-        analysis.fit_primary(table).slopes, analysis.fit_primary(rows, METRICS).slopes
-    )
-
-
 def test_every_scale_at_every_level(both: pd.DataFrame) -> None:
     found = analysis.fit_attributes(both, METRICS)
     assert list(found) == ["realism", "similarity"]
@@ -150,19 +125,3 @@ def test_contrasts_in_words_are_those_of_the_mapping(rows: pd.DataFrame) -> None
     assert analysis.contrast(fit, "-tm") == analysis.contrast(fit, {"tm": -1})
     with pytest.raises(ValueError, match=r"of the model .*got .*zm"):
         analysis.contrast(fit, "sm - zm")
-
-
-@pytest.mark.parametrize(
-    "text", ["sm -- tm", "sm - + tm", "- - tm", "0.5*sm*tm", "sm * 2", "sm -", ""]
-)
-def test_contrasts_that_are_no_sum_are_refused(rows: pd.DataFrame, text: str) -> None:
-    fit = analysis.fit_mixed("rating ~ sm + tm + (1 | participant)", rows)
-    with pytest.raises(ValueError, match=r"weights must be a sum such as 'a - 0\.5 \* b', got"):
-        analysis.contrast(fit, text)
-
-
-def test_holm_is_that_of_statsmodels() -> None:
-    rng = np.random.default_rng(1)
-    for p in ([0.5, 0.5, 0.01], [0.0, 1.0, 0.03], *(rng.uniform(0, 1, n) ** 3 for n in (1, 2, 9))):
-        np.testing.assert_allclose(adjust_holm(p), multipletests(p, method="holm")[1])
-    np.testing.assert_allclose(adjust_holm([0.01, np.nan, 0.04, 0.03]), [0.03, np.nan, 0.06, 0.06])

@@ -108,35 +108,3 @@ def test_an_ellipse_by_its_definition() -> None:
 
 
 GOOD = apart(np.random.default_rng(0).normal(size=(4, 2)))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda d: d[:2, :2],
-            "dissimilarities must have shape .stimuli, stimuli. or .participants, stimuli,",
-        ),
-        (
-            lambda d: d[0],
-            "dissimilarities must have shape .stimuli, stimuli. or .participants, stimuli,",
-        ),
-        (
-            lambda d: -d,
-            "dissimilarities must be 0 or more, NaN where missing, got a negative or infinite",
-        ),
-        (
-            lambda d: d + np.eye(4),
-            "dissimilarities must be 0 on the diagonal, got a stimulus unlike itself",
-        ),
-        (np.triu, "dissimilarities must be symmetric, got a matrix that is not"),
-        (
-            lambda d: np.where(d == d[0, 1], np.nan, d),
-            "dissimilarities must hold every pair, got no rating of stimuli 0 and 1",
-        ),
-        (lambda d: 0 * d, "dissimilarities must differ from 0, got 0 for every pair"),
-    ],
-)
-def test_bad_dissimilarities_are_refused(change: object, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        fit_space(change(GOOD), rng=np.random.default_rng(0))

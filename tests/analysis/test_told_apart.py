@@ -54,16 +54,3 @@ def test_the_contrast_is_a_paired_t_test_over_participants() -> None:
     assert found["p"] == pytest.approx(expected.pvalue)
     ends = expected.confidence_interval()
     assert (found["low"], found["high"]) == pytest.approx((ends.low, ends.high))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda rows: rows[rows["role"] == "test"], "got no identical pairs"),
-        (lambda rows: rows[rows["role"] != "test"], "got no pairs with the original"),
-        (lambda rows: rows[rows["participant"] == "p0"], "needs 2 participants who rated both, got 1"),
-    ],
-)  # fmt: skip
-def test_what_cannot_be_compared_is_refused(change: object, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        compare_with_original(change(plant(people=3)))

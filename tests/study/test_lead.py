@@ -27,7 +27,8 @@ IDENTITY = {"presenter": {"simulated": True}}
 
 @pytest.fixture
 def room(tmp_path: Path, stimuli: StimulusSet, now: Callable[[], datetime]) -> Room:
-    return Room(StudyFolder(tmp_path), stimuli, read_scales(), Stale(), now)
+    no_settings: Any = None
+    return Room(StudyFolder(tmp_path), no_settings, stimuli, read_scales(), Stale(), now)
 
 
 def lead(room: Room, plan: Plan, presenter: Any, **options: Any) -> Any:

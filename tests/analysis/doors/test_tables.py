@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import re
-from dataclasses import fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,9 +11,9 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis.association import correlate
 from feel321.analysis.contrasts import compare
 from feel321.analysis.table.items import find_sources, open_ratings
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,9 +60,7 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, draws=10, rng=make_rng()),
     "rater_model": analysis.rater_model,
     "screen_raters": lambda table: analysis.screen_raters(table).table,
-    "tabulate_correlations": lambda table: correlate.tabulate_correlations(
-        table, METRICS, draws=10
-    ),
+    "tabulate_correlations": lambda table: analysis.tabulate_correlations(table, METRICS, draws=10),
 }
 
 POOLED = ["compare_metrics", "compare_reducers", "correlate", "fit_primary"]
@@ -75,7 +72,7 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
     "named as a column": lambda table: table.set_index("participant", drop=False),
 }
 
-OTHERS = {"bradley_terry by rater", "find_sources", "profile_reducers", "tabulate_correlations"}
+OTHERS = {"bradley_terry by rater", "find_sources", "profile_reducers"}
 """Further forms, and functions that are not on the face."""
 
 CHOICES = {"predict_votes"}
@@ -110,9 +107,9 @@ def flatten(result: Any) -> dict[str, Any]:
             for place, one in enumerate(result)
             for name, value in flatten(one).items()
         }
-    if not is_dataclass(result) or isinstance(result, type):
+    if not isinstance(result, Statistic):
         return {"": result}
-    found = [(field.name, getattr(result, field.name)) for field in fields(result)]
+    found = list(result.items())
     return {f"{name}.{key}": one for name, value in found for key, one in flatten(value).items()}
 
 

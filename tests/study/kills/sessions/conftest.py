@@ -73,6 +73,7 @@ TASKS: Mapping[str, tuple[Task, ...]] = {
 """What each session consists of: every protocol, every timing, surfaces to stroke; several scales and questions in one
 of them; thresholds and matches first."""
 
+NO_SETTINGS: Any = None  # the lead needs none
 SCALES = read_scales("en") | {"roughness": Scale("roughness", "How rough?", "Smooth", "Rough")}
 
 QUESTIONS = (
@@ -217,7 +218,7 @@ class Session:
             return make_plan(self.design, self.stimuli, name, number=number, simulated=True)
 
         (plan,) = plan_participants(study, ["sim001"], make, simulated=True, station=Station())
-        room = Room(study, self.stimuli, SCALES, Stale(6.0, self.policy), now)
+        room = Room(study, NO_SETTINGS, self.stimuli, SCALES, Stale(6.0, self.policy), now)
         make_presenter = partial(self._make_presenter, memory=set())
         identity = {"presenter": identify_observer(MODEL, seed=3)}
         while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
