@@ -26,15 +26,8 @@ DELIVERED = "delivered"
 """Folder, in each participant's, of the samples that were rendered or measured at each playback."""
 
 PARTICIPANT_COLUMNS = (
-    "participant",
-    "number",
-    "simulated",
-    "state",
-    "sessions",
-    "answered",
-    "given_up",
-    "total",
-)
+    "participant", "number", "simulated", "state", "sessions", "answered", "given_up", "total",
+)  # fmt: skip
 """The first columns of `participants.csv`; one per factor in which participants differ follows.
 
 Last of all come those of `thresholds.list_columns`, where thresholds were measured."""

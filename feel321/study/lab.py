@@ -233,6 +233,7 @@ def _make_check(room: Room) -> DeliveryCheck | None:
         full_scale_m_s2=settings.rig.full_scale_m_s2,
         reduced=reduce_stimuli(room.stimuli, recordings, read.make_recipe(settings, folder)),
         certificate=room.certificate,
+        tolerance_db=settings.session.quality.level_error_db,
     )
 
 

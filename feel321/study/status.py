@@ -22,9 +22,11 @@ from feel321.study.freeze import describe_frozen
 from feel321.study.session.events import (
     DeviceFailed,
     PageRead,
+    PartPlayed,
     SessionFinished,
     SessionReleased,
     TrialRated,
+    find_notices,
 )
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.thresholds import find_warnings, read_thresholds
@@ -342,6 +344,8 @@ def find_flags(chain: Chain) -> Iterator[str]:
         yield "training not passed"
     if calls := list(chain.records.find(DeviceFailed)):
         yield f"experimenter called: {len(calls)} x"
+    for said in find_notices(chain.records.find(PartPlayed)).values():
+        yield f"{len(said)} x {said[0]}"
 
 
 def judge_catches(plan: Plan, rated: Iterable[TrialRated]) -> list[bool]:

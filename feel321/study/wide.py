@@ -11,6 +11,9 @@ from typing import Any
 
 from feel321.files import make_folder, write_table
 
+WIDE = "data"
+"""Folder of the files, in a study's."""
+
 ONCE = {
     "participant": "participant",
     "session": "session",
@@ -34,11 +37,11 @@ EACH = {
 
 def write_wide(study: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write the trials of each participant, and remove the files of those who are no longer there."""
-    folder = study / "data"
+    folder = study / WIDE
     people = {name: list(own) for name, own in groupby(rows, itemgetter("participant"))}
     for stale in folder.glob("*.csv"):
-        if stale.stem not in people:
-            stale.unlink()
+        if stale.stem not in people and stale.read_bytes().startswith(b"participant,"):
+            stale.unlink()  # of nobody here; a recording that lies here is left
     if people:
         make_folder(folder, private=True)
     for name, own in people.items():

@@ -264,6 +264,7 @@ def make_present(
         stale: Stale | None = None,
         now: Clock = now,
         scales: Mapping[str, Scale] | None = None,
+        on_step: Callable[[Place], None] = lambda _: None,
     ) -> list[Any]:
         folder = path / "sessions" / plan.participant
         store_plan(folder, plan)
@@ -273,7 +274,8 @@ def make_present(
             journal,
         ):
             presenter.time_s = journal.records.find_elapsed()
-            run_session(stored, presenter, stimuli=stimuli, journal=journal, scales=scales)
+            told = {"scales": scales, "on_step": on_step}
+            run_session(stored, presenter, stimuli=stimuli, journal=journal, **told)
             return Records(journal.records)
 
     return run

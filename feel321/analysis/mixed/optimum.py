@@ -32,6 +32,7 @@ from feel321.analysis.mixed.design import nest
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
+    from feel321.analysis.mixed.design import Codes, Factor, MixedDesign, Nested
     from feel321.types import Samples
 
 

@@ -44,8 +44,8 @@ RIG = {"rig": "rig", "calibration": "certificate of calibration"}
 """Columns on what the participants felt the stimuli on, and what they are in words."""
 
 ROSTER = frozenset({
-    "number", "simulated", "state", "sessions", "answered", "given_up", "total", "first_utc", "last_utc",
-    "training_passed", *RIG,
+    "number", "simulated", "state", "sessions", "answered", "given_up", "total",
+    "first_utc", "last_utc", "training_passed", *RIG,
 })  # fmt: skip
 """Columns on the progress of a participant; all others, but for the participant's name, are labels."""
 

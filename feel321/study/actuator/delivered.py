@@ -227,7 +227,7 @@ class DeliveryCheck:
     """Compares each playback of a set with what was asked of a rig.
 
     full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known. certificate: only with
-    one does the rig promise to give what is asked, so that level and polarity count.
+    one does the rig promise to give what is asked, so that level and polarity count. tolerance_db: of a coil's level.
     """
 
     def __init__(
@@ -238,13 +238,14 @@ class DeliveryCheck:
         full_scale_m_s2: float,
         reduced: Mapping[str, Baseline],
         certificate: Certificate | None = None,
+        tolerance_db: float | None = None,
     ) -> None:
         self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
         self._reduced, self._certificate = reduced, certificate
         self._diagnosis: Diagnosis | None = None
         is_seen = rig.sensor is not None and len(rig.sensor.inputs) == len(AXES)
         if certificate is not None and certificate.method == MEASURED and is_seen:
-            self._diagnosis = Diagnosis(certificate, rig)
+            self._diagnosis = Diagnosis(certificate, rig, tolerance_db=tolerance_db)
         self._predicted: dict[str, dict[str, float]] = {}
         self._own = {stimulus.stimulus_id for stimulus in stimuli}
 
@@ -267,16 +268,21 @@ class DeliveryCheck:
             self._predicted[stimulus_id] = self._compare(stimulus_id, moved, seen)[1]
         return self._predicted[stimulus_id]
 
-    def diagnose(self, sent: Frames, measured: ArrayLike | None, *, keeps_latency: bool) -> str:
-        """Name what is wrong with the rig by a whole playback, with the coil; empty if nothing is, or can be known.
+    def diagnose(
+        self, sent: Frames, measured: ArrayLike | None, *, keeps_latency: bool
+    ) -> tuple[str, str]:
+        """Name what is wrong with the rig by a whole playback: what spoils it, or else what is only to be told.
 
-        keeps_latency: whether the device ran without a break since the last one.
+        Both are empty if nothing is wrong, or can be known. keeps_latency: whether the device ran without a break since
+        the last one.
         """
-        if self._diagnosis is None or measured is None:
-            return ""
+        diagnosis = self._diagnosis
+        if diagnosis is None or measured is None:
+            return "", ""
         if not keeps_latency:
-            self._diagnosis.lag = None
-        return self._diagnosis.judge(sent, np.asarray(measured, dtype=np.float64))
+            diagnosis.lag = None
+        found = diagnosis.judge(sent, np.asarray(measured, dtype=np.float64))
+        return (found, "") if diagnosis.is_grave else ("", found)
 
     def measure(self, stimulus_id: str, measured: Samples) -> dict[str, float]:
         """Compare what the sensor measured, shape (axes, m)."""

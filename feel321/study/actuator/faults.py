@@ -310,11 +310,16 @@ class Diagnosis:
     """Judges the playbacks of a rig with a measured certificate and a three-axis sensor.
 
     lag: of the last playback, in samples; None where it is not known, as after a device ran
-    dry. motions: of the last playback that was judged, by coil.
+    dry. motions: of the last playback that was judged, by coil. is_grave: whether a fault of it may have been felt:
+    not if each coil did what was sent to it, within tolerance_db (None for any) and the rig's own `max_distortion`.
     """
 
-    def __init__(self, certificate: Certificate, rig: Rig) -> None:
-        self.certificate = certificate
+    def __init__(
+        self, certificate: Certificate, rig: Rig, *, tolerance_db: float | None = None
+    ) -> None:
+        self.certificate, self.is_grave = certificate, False
+        self._tolerance_db = math.inf if tolerance_db is None else tolerance_db
+        self._most_distortion = rig.calibration.max_distortion
         self._full_scale = require_sensor(rig).full_scale_m_s2
         self._limit_db = rig.calibration.max_drift_db
         groups = group_coils(certificate)
@@ -330,7 +335,7 @@ class Diagnosis:
 
     def judge(self, sent: Frames, measured: Samples) -> str:
         """Name what is wrong by frames sent, (n, channels), and what was measured since, (3, m) in m/s²; or nothing."""
-        self.motions = {}
+        self.motions, self.is_grave = {}, True
         if fault := find_sensor_fault(measured, full_scale_m_s2=self._full_scale):
             return fault
         measured = measured - measured.mean(axis=1, keepdims=True)
@@ -343,7 +348,10 @@ class Diagnosis:
             scene = Scene(self.certificate, sent, measured)
         self.motions = {name: self._find_motion(scene, name) for name in scene.groups}
         found = list(self._find_causes(scene, sent, measured))
-        if hum_hz and scene.follows > FOLLOWS and not any("swapped" in one for one in found):
+        is_swapped = any("swapped" in one for one in found)
+        is_within = all(map(self._is_within, self.motions.values()))
+        self.is_grave = bool(found) and (is_swapped or not is_within)
+        if hum_hz and scene.follows > FOLLOWS and not is_swapped:
             found.append(
                 f"hum of {hum_hz:.0f} Hz, {_rms(hum):.2g} m/s²: a ground loop, or cables beside the mains"
             )
@@ -370,6 +378,16 @@ class Diagnosis:
         rest = max(energy(scene.find_rest(name, asked)) - noise, 0.0)
         distortion = math.sqrt(rest / max(moved, TINY))
         return Motion(name, fit, noise, distortion, is_asked, moved > CLEAR**2 * noise)
+
+    def _is_within(self, motion: Motion) -> bool:
+        fit = motion.fit
+        return not motion.is_asked or (
+            motion.is_moving
+            and fit.sign > 0
+            and fit.left < FOLLOWS
+            and abs(fit.gain_db) <= self._tolerance_db
+            and motion.distortion <= self._most_distortion
+        )
 
     def _find_causes(self, scene: Scene, sent: Frames, measured: Samples) -> Iterator[str]:
         asked = [one for one in self.motions.values() if one.is_asked]

@@ -288,7 +288,7 @@ class Output:
         is_completed = cue.is_complete and take.is_out
         underruns = take.find_underruns()
         is_whole = is_completed and not underruns and not take.n_sensor_gaps
-        fault, delivered = self._compare(cue) if is_whole else ("", {})
+        fault, notice, delivered = self._compare(cue) if is_whole else ("", "", {})
         if self._trigger is not None:
             self._trigger.leave()
             fault = fault or self._trigger.error
@@ -306,19 +306,20 @@ class Output:
             delivered=delivered,
             delivered_sha256=sha256,
             fault=fault,
+            notice=notice,
         )
 
-    def _compare(self, cue: Cue) -> tuple[str, Mapping[str, float]]:
+    def _compare(self, cue: Cue) -> tuple[str, str, Mapping[str, float]]:
         """Compare a whole playback with what was asked: what is wrong with the rig, and what the hand got."""
         if self._check is None:
-            return "", {}
+            return "", "", {}
         sensed = None if self._room is None else self.captured
         keeps_latency = self._n_dry == self._n_dry_before
         self._n_dry_before = self._n_dry
-        fault = self._check.diagnose(cue.sound, sensed, keeps_latency=keeps_latency)
+        wrong = self._check.diagnose(cue.sound, sensed, keeps_latency=keeps_latency)
         if cue.scale != 1:  # the level is the set's
-            return fault, {}
-        return fault, self._check.describe(self._name, cue.sound, sensed)
+            return *wrong, {}
+        return *wrong, self._check.describe(self._name, cue.sound, sensed)
 
     def _capture(self, take: Take) -> Frames | None:
         """Take what was recorded: by a file from the start on, by a sensor from the frame in which the onset was sent.

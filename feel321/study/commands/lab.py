@@ -116,12 +116,15 @@ class SessionLog:
         if self.place is None:
             shared.echo(f"{done} so far")
         self.place = place
+        begin = "\n" if shared.is_terminal() else ""
+        if place.notice:
+            wrong = f"{begin}{self.participant}: look after the rig in a break ({place.notice})"
+            shared.echo(f"{wrong}; what the hand gets is within tolerance, trials count", err=True)
         if place.fault:
             from feel321.study.actuator.rig import read_rig
             from feel321.study.keys import label_key
 
             key = label_key(read_rig(self.rig).keys.find_key("experimenter"), {})
-            begin = "\n" if shared.is_terminal() else ""
             failed = f"{begin}{self.participant}: the device failed ({place.fault}); check it"
             shared.echo(f"{failed}, then press {key} in the participant's window", err=True)
         elif shared.is_terminal():

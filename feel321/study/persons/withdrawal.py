@@ -42,6 +42,7 @@ from feel321.study.session.journal import (
     require_journal,
 )
 from feel321.study.session.plan import TOMBSTONE_FILE
+from feel321.study.wide import WIDE
 
 OUTPUTS_FILE = "outputs.jsonl"
 
@@ -98,6 +99,9 @@ def _clear_derived(study: StudyFolder, tombstone: progress.Tombstone, say: Say) 
         is_unfinished = UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name)
         if is_unfinished and not _drop_link(path, say):
             say(f"{path}: is still being written; when it is finished, run feel321 audit")
+    wide = study.path / WIDE
+    _drop_link(wide, say)
+    _remove_file(wide / f"{tombstone.participant}.csv", say)
     tables: dict[Path, Callable[[], object]] = {
         study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
         study.path / progress.ROSTER_FILE: lambda: progress.write_roster(study),
@@ -246,10 +250,16 @@ def _remove_data(folder: Path, say: Say) -> list[str]:
     for path in removed:
         if path.is_dir() and not path.is_symlink():
             path.rmdir()
-        elif not _drop_link(path, say):
-            path.unlink()
+        else:
+            _remove_file(path, say)
     sync_folder(folder)
     return sorted(path.relative_to(folder).as_posix() for path in removed)
+
+
+def _remove_file(path: Path, say: Say) -> None:
+    """Remove a file, or a link to one."""
+    if not _drop_link(path, say):
+        path.unlink(missing_ok=True)
 
 
 def _drop_link(path: Path, say: Say) -> bool:
@@ -284,6 +294,8 @@ def find_data_left(study: StudyFolder) -> Iterator[str]:
         finish = f"finish: feel321 withdraw {study.path} --participant {name}"
         if (rehearsed := study.path / "rehearsals" / name).exists():
             yield f"{rehearsed}: is of a rehearsal of {name}, who withdrew; {finish}"
+        if (own := study.path / WIDE / f"{name}.csv").exists():
+            yield f"{own}: is of {name}, who withdrew; {finish}"
         for table in (study.ratings.name, progress.ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE):
             if name in _list_named(study.path / table):
                 yield f"{study.path / table}: holds rows of {name}, who withdrew; {finish}"

@@ -154,6 +154,7 @@ class Session:
         self._due_s: float | None = None
         self._paced = ""
         self._is_late = False
+        self._told: set[str] = set()
 
     def take(self, event: events.SessionEvent) -> None:
         """Take an event of the journal: what comes next follows from it."""
@@ -161,7 +162,7 @@ class Session:
 
     def lead(self) -> None:
         """Lead the participant from step to step to the end; some pages come in between, aside from the agenda."""
-        agenda, records, fault = self.agenda, self.journal.records, ""
+        agenda, records, fault, notice = self.agenda, self.journal.records, "", ""
         self._restart()
         opening = {kind.event for kind in (*events.OPENING, events.WarmUpBegun)}
         recent = takewhile(lambda record: record.event in opening, reversed(records))
@@ -169,12 +170,13 @@ class Session:
         aside = Page("ready") if is_back and isinstance(agenda.ask(), Trial) else None
         while True:
             place = Place(agenda.answered, agenda.total, given_up=agenda.given_up)
-            self._on_step(replace(place, fault=fault))
+            self._on_step(replace(place, fault=fault, notice=notice))
+            notice = ""
             if (step := aside or agenda.ask()) is None:
                 break
             if isinstance(step, Trial):
                 place = replace(place, attempt=agenda.attempt(step.number))
-                aside, fault = self._conduct_trial(step, place)
+                aside, fault, notice = self._conduct_trial(step, place)
                 continue
             self._restart()
             try:
@@ -236,9 +238,12 @@ class Session:
 
     # Trials.
 
-    def _conduct_trial(self, trial: Trial, place: Place) -> tuple[Page | None, str]:
-        """Run an attempt at a trial; returns the page that comes before the next step, and what the device says."""
+    def _conduct_trial(self, trial: Trial, place: Place) -> tuple[Page | None, str, str]:
+        """Run an attempt at a trial; returns the page before the next step, what the device says, and what is new."""
         attempt = self._run_attempt(trial, place)
+        new = events.find_notices(attempt.parts.values())
+        notice = "; ".join(said[0] for key, said in new.items() if key not in self._told)
+        self._told |= new.keys()
         # The agenda is told what is on the disk, by the same words as when a session is resumed.
         event: Any = self.journal.records[-1].content
         self.take(event)
@@ -246,10 +251,10 @@ class Session:
         if self.agenda.lost_in_a_row >= LOST_IN_A_ROW:
             fault = attempt.describe_faults(self.flow)
             self.journal.write(events.DeviceFailed(fault, self.journal.records.find_elapsed()))
-            return Page("call_us", by="experimenter"), fault
+            return Page("call_us", by="experimenter"), fault, ""
         task = self.tasks.get(trial.protocol)
         is_fixed = task is not None and task.onset_s is not None
-        return (Page(TIMED_OUT, TOLD_S) if self._is_late and not is_fixed else None), ""
+        return (Page(TIMED_OUT, TOLD_S) if self._is_late and not is_fixed else None), "", notice
 
     def _run_attempt(self, trial: Trial, place: Place) -> events.Attempt:
         """Run one attempt at a trial, and again after each pause."""

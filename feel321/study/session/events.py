@@ -5,6 +5,7 @@ The name of an event stands here and nowhere else. A new event is a class here, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 from feel321.protocols.trial import DEVICE_FLAGS, FLAGS, LOST, MATCHING, SPOILED, VALID
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from feel321.protocols.trial import Flow, Trial
 
@@ -237,7 +238,8 @@ class Played:
     by the device, such as its own time of the onset. dac_source: `device` where that time is its own, `latency` where
     it is the time of the request and the latency. delivered: what the hand got, compared with what was asked
     (`actuator.delivered`); with `coherence` if a sensor measured it, without if a certificate predicts it. fault: what
-    is wrong with the rig by this playback, with the coil named (`actuator.faults`).
+    is wrong with the rig by this playback, with the coil named (`actuator.faults`). notice: the same where the hand got
+    what was asked all the same.
     """
 
     requested_s: float
@@ -251,6 +253,7 @@ class Played:
     delivered: Mapping[str, float] = field(default_factory=dict)
     delivered_sha256: str = ""
     fault: str = ""
+    notice: str = ""
 
     def __post_init__(self) -> None:
         """Take numbers of the many kinds that devices report, and none of those that are none."""
@@ -279,7 +282,7 @@ class PartPlayed(Played, PartEvent, event="played"):
 
     def to_data(self) -> dict[str, Any]:
         """Return the fields; what only some devices give is left out where it is empty."""
-        optional = {"measured", "dac_source", "delivered", "delivered_sha256", "fault"}
+        optional = {"measured", "dac_source", "delivered", "delivered_sha256", "fault", "notice"}
         return {k: v for k, v in super().to_data().items() if v or k not in optional}
 
 
@@ -413,9 +416,10 @@ def judge(event: TrialRated | TrialSpoiled, flow: Flow) -> str:
 
 def find_faults(played: Played, flow: Flow) -> dict[str, str]:
     """Find what the device did wrong in a playback: flag -> words for the experimenter."""
+    loss = find_loss(played.delivered, flow)
     faults = {
         "device_error": played.error,
-        "not_delivered": played.fault or find_loss(played.delivered, flow),
+        "not_delivered": played.fault or "; ".join(filter(None, [loss, loss and played.notice])),
         "underrun": f"the device ran dry ({played.underruns} underruns): close other programs, switch off power "
         "saving, or raise latency_s in rig.toml"
         if played.underruns
@@ -425,6 +429,14 @@ def find_faults(played: Played, flow: Flow) -> dict[str, str]:
         else "",
     }
     return {flag: words for flag, words in faults.items() if words}
+
+
+def find_notices(parts: Iterable[Played]) -> dict[str, list[str]]:
+    """Group what playbacks say of the rig, though it spoiled none of them, by the words without their figures."""
+    found: dict[str, list[str]] = {}
+    for notice in filter(None, (part.notice for part in parts)):
+        found.setdefault(re.sub(r"[-+]?\d[\d.]*", "", notice), []).append(notice)
+    return found
 
 
 @dataclass(slots=True)

@@ -142,8 +142,8 @@ Act = Feel | Move | Confirm | Pause | Abort | TimedOut
 class Place:
     """Progress of a session: trials of the main phase that are answered, given up, and all of them.
 
-    attempt: at the trial or question, from 1. fault: what the device says while the experimenter is called. left_s:
-    about how long the rest of the session takes.
+    attempt: at the trial or question, from 1. fault: what the device says while the experimenter is called. notice:
+    what is wrong with the rig, though trials count; said once. left_s: about how long the rest of the session takes.
     """
 
     answered: int
@@ -151,6 +151,7 @@ class Place:
     attempt: int = 1
     given_up: int = 0
     fault: str = ""
+    notice: str = ""
     left_s: float | None = None
 
     @property

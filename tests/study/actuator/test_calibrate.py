@@ -27,7 +27,7 @@ from feel321.study.actuator.certificate import (
 )
 from feel321.study.actuator.response import Sweep, find_slip, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig
-from feel321.study.actuator.simulated import BLOCK_FRAMES, SimulatedCoil, SimulatedStream
+from feel321.study.actuator.simulated import BLOCK_FRAMES, Hardware, SimulatedCoil, SimulatedStream
 from feel321.study.cli import main
 
 RATE_HZ = 8000.0
@@ -174,6 +174,35 @@ def test_faults_are_named(rig: Rig, tmp_path: Path, change: Any, reason: str) ->
     with pytest.raises(ValueError, match=reason) as refusal:
         calibrate(change(rig), tmp_path)
     assert "\n" not in str(refusal.value)
+
+
+def test_a_calibration_that_is_stopped_is_silent_within_a_block(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By what reaches the coils, in real time: Ctrl-C in the midst of the first sweep."""
+    sent: list[float] = []
+    stopped: list[int] = []
+    sense, wait = Hardware.sense, output_module.sleep
+
+    def watch(hardware: Hardware, out: Any) -> Any:
+        sent.append(float(np.abs(out).max()))
+        return sense(hardware, out)
+
+    def interrupt(wait_s: float) -> None:
+        if sum(level > 0 for level in sent) > 5:
+            stopped.append(len(sent))
+            raise KeyboardInterrupt
+        wait(wait_s)
+
+    monkeypatch.setattr(Hardware, "sense", watch)
+    monkeypatch.setattr(output_module, "sleep", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(alter(rig, "simulation", speed=1.0), tmp_path)
+    n_sent = len(sent)
+    wait(0.3)
+    assert len(sent) == n_sent  # the device is closed
+    assert n_sent - stopped[0] <= 1
+    assert list_certificates(tmp_path) == []
 
 
 def test_limits_that_are_not_kept_are_named(rig: Rig, certificate: Certificate) -> None:

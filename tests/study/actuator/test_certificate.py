@@ -128,6 +128,36 @@ def test_what_was_forged_with_a_new_seal_is_one_line_with_its_place(
     assert line.endswith("; calibrate again")
 
 
+@pytest.mark.parametrize(
+    ("gains", "reason"),
+    [
+        ({"left coil": 1.0}, "not so: 'right coil'"),
+        ({**GAINS, "third": 1.0}, "not so: 'third'"),
+        ({"left coil": 0.0, "right coil": 1.0}, "must be positive m/s² per full scale, got 0"),
+    ],
+)
+def test_typed_gains_must_be_of_the_rigs_coils(gains: dict[str, float], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        make_manual(RIG, gains, directions={}, made=MADE, rate_hz=RATE_HZ)
+
+
+@pytest.mark.parametrize("name", ["target", "full_scale_m_s2"])
+@pytest.mark.parametrize("gain", [0.0, -12.5, "loud", None, [1.0]])
+def test_a_gain_that_was_forged_with_a_new_seal_is_refused(
+    tmp_path: Path, name: str, gain: object
+) -> None:
+    certificate = write_certificate(make(), tmp_path)
+    path = tmp_path / "calibration" / f"{certificate.id}.json"
+    entry = json.loads(path.read_text(encoding="utf-8"))
+    entry["coils"][0][name] = gain
+    del entry["sha256"]
+    seal = hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()
+    path.write_text(json.dumps(entry | {"sha256": seal}), encoding="utf-8")
+    found, (line,) = judge_certificates(tmp_path, RIG, now=MADE)
+    assert found is None
+    assert line.startswith(f"certificate {path.name}: coils.0.{name}: ")
+
+
 def test_the_newest_valid_certificate_of_the_rig_is_found(tmp_path: Path) -> None:
     other = take_device(RIG, "other")
     assert judge_certificates(tmp_path, RIG, now=MADE) == (

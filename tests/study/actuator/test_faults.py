@@ -77,6 +77,22 @@ def test_coils_that_get_the_same_are_told_apart(name: str) -> None:
     assert found.startswith(told)
 
 
+MILD = {"rattle", "stronger", "weaker", "all weaker", "heat", "damped", "hum", "hum of 60", "late"}
+"""Faults with which each coil is within 3 dB of what was asked, and distorts less than a certificate may."""
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_fault_is_grave_where_a_coil_is_beyond_its_tolerance(name: str) -> None:
+    sent = send(certified("ordinary"), *(make_track(seed, peak=6.0) for seed in (1, 2, 3)))
+    measured = play(LOOPS["ordinary"].but(**FAULTS[name][0]), sent)
+    found = {db: Diagnosis(certified("ordinary"), make_rig(), tolerance_db=db) for db in (1.5, 3.0)}
+    assert all(one.judge(sent, measured) for one in found.values())
+    assert found[3.0].is_grave is (name not in MILD)
+    assert found[1.5].is_grave >= found[3.0].is_grave
+    if name in {"stronger", "weaker", "all weaker"}:  # by 2 dB
+        assert found[1.5].is_grave
+
+
 @pytest.mark.parametrize("n", [24, pytest.param(500, marks=pytest.mark.soak)])
 def test_healthy_coils_raise_nothing(n: int) -> None:
     """Strong and weak stimuli, short and long, on one coil or all."""

@@ -111,6 +111,17 @@ def test_each_sample_gets_what_the_last_second_leaves(seed: int) -> None:
     )
 
 
+@pytest.mark.parametrize(("gap", "is_shared"), [(200, True), (350, True), (370, False)])
+def test_a_second_is_watched_across_silence(gap: int, is_shared: bool) -> None:
+    """Two bursts share it if both are loud in one, however the silence between them is cut into blocks."""
+    burst = np.full(400, 0.5)
+    samples = np.concatenate([burst, np.zeros(gap), burst])
+    for sizes in ([BLOCK], [37], [1, 99]):
+        out, changed = run(limiter(rms=0.4), samples, sizes)
+        assert (changed > 0) is is_shared
+        assert largest_rms(out) <= 0.4 * (1 + 1e-7)
+
+
 def test_what_is_no_number_is_silence_and_blinds_nothing() -> None:
     samples = np.full(3000, 0.5, dtype=np.float32)
     samples[[0, 150, 151, 1999]] = np.nan

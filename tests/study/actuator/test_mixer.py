@@ -86,6 +86,41 @@ def test_the_blocks_make_no_difference(sizes: list[int], gap: int) -> None:
     assert outs[0][1] > 500
 
 
+@pytest.mark.parametrize("gap_s", [0.0, 0.02, 0.3])
+def test_masking_leads_and_follows_and_the_sync_pulse_stands_at_the_onset(gap_s: float) -> None:
+    """The silence that the masking's lead needs is made if the gap is too short; the pulse is one, at its level."""
+    mixer, sounds = make_mixer(masking=MASKED, sync=SYNC)
+    cue = mixer.start("a", gap_s=gap_s)
+    out = fill(mixer, 9000, [300], 5)
+    lead, onset = round(MASKED.lead_s * RATE), cue.onset_frame
+    assert onset >= max(lead, round(gap_s * RATE))
+    assert_array_equal(out[onset : onset + 3000, :2], sounds["a"][:, :2])
+    assert np.count_nonzero(out[:, :2].any(axis=1)) == 3000
+    heard = np.flatnonzero(out[:, 2:4].any(axis=1))
+    assert abs(onset - lead - heard[0]) <= 2
+    assert abs(onset + 3000 + lead - heard[-1]) <= 2
+    pulse = np.zeros(9000, dtype=np.float32)
+    pulse[onset : onset + round(SYNC.duration_s * RATE)] = SYNC.level
+    assert_array_equal(out[:, 4], pulse)
+
+
+@pytest.mark.parametrize(
+    ("gap_s", "silence_s"), [(0.5, 0.3), (0.25, 0.1), (0.05, 0.05), (0.0, 0.0)]
+)
+def test_a_filters_lead_takes_up_the_gap_but_for_a_pause(gap_s: float, silence_s: float) -> None:
+    """The limiter needs 0.1 s of silence between stimuli; the sync pulse marks the vibration, not the first sample."""
+    mixer, sounds = make_mixer(sync=SYNC)
+    cue = mixer.start("a", gap_s=gap_s, lead_s=0.2)
+    out = fill(mixer, 9000, [300], 5)
+    onset, end = round(silence_s * RATE), round(silence_s * RATE) + 3000
+    assert cue.onset_frame == onset
+    assert not out[:onset, :2].any()
+    assert_array_equal(out[onset:end, :2], sounds["a"][:, :2])
+    assert not out[end:, :2].any()
+    pulse = np.flatnonzero(out[:, 4])
+    assert (pulse[0], len(pulse)) == (onset + round(0.2 * RATE), round(SYNC.duration_s * RATE))
+
+
 def test_nothing_is_scheduled_in_the_preroll() -> None:
     mixer, sounds = make_mixer(preroll_s=0.1)
     cue = mixer.start("a", gap_s=0)
@@ -236,3 +271,27 @@ def test_what_goes_on_begins_where_the_last_one_was_stopped(n_before: int) -> No
     assert (cue.is_over, cue.is_at_end, cue.is_complete) == (True, True, False)
     assert not out[len(rest) :].any()
     assert not mixer.start("b", gap_s=0.0, goes_on=True).first_frame  # it had come to its end
+
+
+def test_a_sync_pulse_is_a_sample_at_least_and_ends_with_a_stop() -> None:
+    mixer, _ = make_mixer(sync=SYNC.model_copy(update={"duration_s": 1e-9}))
+    mixer.start("a", gap_s=0)
+    assert_array_equal(np.flatnonzero(fill(mixer, 3000, [70], 5)[:, 4]), [0])
+    mixer, _ = make_mixer(sync=SYNC.model_copy(update={"duration_s": 0.2}))
+    mixer.start("a", gap_s=0)
+    assert_array_equal(np.unique(fill(mixer, 100, [100], 5)[:, 4]), [0.25])
+    mixer.stop()
+    out = fill(mixer, 500, [100], 5)
+    assert out[:100, 4].all()
+    assert not out[100:, 4].any()
+
+
+def test_a_lead_leaves_a_pause_that_the_limiter_counts_as_one() -> None:
+    """Stimuli of 0.375 s with pauses of 0.1 s, again and again, are each shorter than the longest allowed."""
+    limits = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=0.4)
+    mixer, _ = make_mixer(limits=limits)
+    for _ in range(4):
+        cue = mixer.start("a", gap_s=0.1, lead_s=0.2)
+        while not cue.is_over:
+            fill(mixer, 100, [100], 2)
+        assert cue.clipped == 0

@@ -20,6 +20,111 @@ if TYPE_CHECKING:
 RATE_HZ = 48000
 
 
+def has_run_dry(deliveries: Sequence[Any]) -> bool:
+    """Whether the output says itself that something was not played as it was to be, which it may on a busy machine."""
+    return any(delivery["underruns"] or delivery["error"] for delivery in deliveries)
+
+
+@pytest.mark.parametrize("pulse", [6], indirect=True)
+def test_every_sample_arrives_on_its_channel_in_order_and_nothing_else_does(
+    pulse: Any, open_player: Any, make_rig: Any, make_sound: Any, insist: Any
+) -> None:
+    lengths = {"a": 4800, "b": 1, "c": 12345, "d": 480}
+    sounds = {name: make_sound(n, n=n, channels=pulse.channels) for name, n in lengths.items()}
+    order = ["a", "c", "b", "a", "d"]
+
+    def play() -> tuple[list[Any], Any]:
+        with pulse.captured() as capture:
+            player = open_player(pulse, make_rig(channels=pulse.channels), sounds)
+            assert player.hear()["identity"]["device"] == "stylus"
+            deliveries = [
+                player.ask(do="play", sound=name, gap_s=0.0 if name == "b" else 0.05)
+                for name in order
+            ]
+        player.leave()
+        return deliveries, capture
+
+    deliveries, capture = insist(play, is_disturbed=lambda found: has_run_dry(found[0]))
+    assert all(told["completed"] and not told["error"] for told in deliveries)
+    assert not has_run_dry(deliveries)
+    rest, after = capture.samples.copy(), 0
+    for sound in (sounds[name] for name in order):
+        place = capture.find(sound, after=after)
+        assert place >= after
+        after = place + len(sound)
+        rest[place:after] = 0
+    assert not rest.any()
+
+
+def test_a_stop_falls_silent_within_a_block_and_is_not_completed(
+    pulse: Any, open_player: Any, make_rig: Any, make_sound: Any, insist: Any
+) -> None:
+    sound = make_sound(1, n=20 * RATE_HZ, channels=4)
+    player = open_player(pulse, make_rig(channels=4), {"a": sound, "b": make_sound(2, channels=4)})
+    player.hear()
+
+    def stop() -> tuple[Any, Any, Any, Any]:
+        with pulse.captured() as capture:
+            stopped_s = player.ask(do="play", sound="a", after_s=0.8)["stopped_s"]
+            delivery = player.hear()
+            again = player.ask(do="play", sound="b")
+        return capture, stopped_s, delivery, again
+
+    def is_disturbed(found: tuple[Any, Any, Any, Any]) -> bool:
+        _, (before_s, after_s), delivery, again = found
+        if has_run_dry([delivery, again]):
+            return True
+        last_s = delivery["onset_s"] + delivery["measured"]["n_samples"] / RATE_HZ
+        # The player's own process stood still.
+        return after_s - before_s > 0.03 or delivery["over_s"] - last_s > 0.1
+
+    capture, (before_s, after_s), delivery, again = insist(stop, is_disturbed=is_disturbed)
+    measured = delivery["measured"]
+    onset = int(np.flatnonzero(capture.samples[:, 0])[0])
+    n_played = int(measured["n_samples"])
+    assert (delivery["completed"], delivery["error"]) == (False, "")
+    # All but a short fade is the stimulus as it is, and after the last sample there is nothing.
+    whole = n_played - round(0.005 * RATE_HZ)
+    assert np.array_equal(capture.samples[onset : onset + whole], sound[:whole])
+    assert not capture.samples[onset + n_played + 1 : onset + n_played + 2400].any()
+    # What the device holds already (its latency) cannot be taken back; after that one block passes at most.
+    last_s = delivery["onset_s"] + n_played / RATE_HZ
+    assert last_s - after_s - 0.03 <= measured["stop_s"] <= last_s - before_s + 0.03
+    assert 0 < measured["stop_s"] < 1.5 * measured["latency_s"] + 0.03
+    assert again["completed"]
+    assert capture.find(make_sound(2, channels=4)) > onset + n_played
+
+
+def test_a_server_that_dies_is_told_and_tried_again_with_the_next_stimulus(
+    pulse: Any, open_player: Any, make_rig: Any, make_sound: Any, insist: Any
+) -> None:
+    sounds = {"a": make_sound(1, n=20 * RATE_HZ, channels=4), "b": make_sound(2, channels=4)}
+    player = open_player(pulse, make_rig(channels=4), sounds)
+    player.hear()
+    player.tell(do="start", sound="a")
+    player.ask(do="clock")
+    player.tell(do="collect")
+    time.sleep(0.5)
+    pulse.kill()
+    begin_s = time.monotonic()
+    dead = player.hear()
+    assert not dead["completed"]
+    assert dead["error"].startswith("device 'stylus' stopped")
+    gone = player.ask(do="play", sound="b")
+    assert gone["onset_s"] is None
+    assert gone["error"].startswith("device 'stylus' not found")
+    assert time.monotonic() - begin_s < 30  # it does not hang
+    pulse.start()
+
+    def come_back() -> tuple[Any, Any]:
+        with pulse.captured() as capture:
+            return player.ask(do="play", sound="b"), capture
+
+    back, capture = insist(come_back, is_disturbed=lambda found: has_run_dry(found[:1]))
+    assert (back["error"], back["completed"], back["underruns"]) == ("", True, 0)
+    assert capture.find(sounds["b"]) >= 0
+
+
 def play_many(pulse: Any, player: Any, sounds: dict[str, Sound]) -> tuple[list[Any], list[int]]:
     """Play sounds one after the other with uneven gaps; give what was delivered, and where it was captured."""
     with pulse.captured() as capture:

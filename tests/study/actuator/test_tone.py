@@ -27,10 +27,9 @@ COILS = (
     ActuatorTable(name="right", channel=2, direction=(0.6, 0.8, 0), full_scale_m_s2=50.0),
     ActuatorTable(name="axis", channel=4, direction=(0, 0, 1), plays=("z",)),
 )
+SYNC = SyncTable(channel=3)
 RIG = Rig(
-    actuators=COILS,
-    limits=LimitsTable(peak_m_s2=10.0, rms_m_s2=5.0, duration_s=2.0),
-    sync=SyncTable(channel=3),
+    actuators=COILS, limits=LimitsTable(peak_m_s2=10.0, rms_m_s2=5.0, duration_s=2.0), sync=SYNC
 )
 
 
@@ -64,6 +63,25 @@ def test_a_tone_reaches_the_hand_at_its_level(
     assert 20 * np.log10(rms) == pytest.approx(level_db, abs=0.01)
     assert not samples[3].any()
     assert abs(motion[:, 0]).max() == 0
+
+
+def test_a_silent_interval_is_one_that_vibrates_times_zero_with_the_same_sync_pulse(
+    tmp_path: Path,
+) -> None:
+    output = open_file(tmp_path)
+    for level_db in (None, -10.0):
+        output.start(Tone(40.0, 0.5, level_db), gap_s=0.1)
+        while output.is_playing:
+            pass
+        assert output.collect().measured["n_samples"] == 4000
+    silent, loud = (read_wav(tmp_path / f"000{n}.wav")[0] for n in (1, 2))
+    assert silent.shape == loud.shape
+    assert not silent[[0, 1, 3]].any()
+    assert np.array_equal(silent[2], loud[2])
+    pulse = np.flatnonzero(loud[2])
+    assert SYNC.duration_s * RATE == len(pulse) == pulse[-1] - pulse[0] + 1
+    assert pulse[0] == round(0.1 * RATE)  # with the first sample of the interval
+    assert np.unique(loud[2][pulse]) == pytest.approx(SYNC.level)
 
 
 def test_a_rig_that_cannot_play_the_strongest_tone_is_refused() -> None:

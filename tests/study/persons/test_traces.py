@@ -174,6 +174,27 @@ def test_marks_are_gone_once_somebody_withdrew_and_outputs_elsewhere_are_named(
     assert audit_study(planted) == []
 
 
+@pytest.mark.parametrize("keeps_ratings", [True, False])
+def test_what_was_written_wide_goes_with_the_person(
+    planted: StudyFolder, *, keeps_ratings: bool
+) -> None:
+    """Of the others it stays, as do recordings in that folder; so too if there is no table to be written anew."""
+    wide = planted.path / "data"
+    (wide / "recording.csv").write_text("time,x\n0,1\n")
+    before = {path.name for path in wide.iterdir()}
+    others = (wide / "sim001.csv").read_bytes()
+    if not keeps_ratings:
+        planted.ratings.unlink()
+    kept = (wide / f"{WHO}.csv").read_bytes()
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    assert {path.name for path in wide.iterdir()} == before - {f"{WHO}.csv"}
+    assert (wide / "sim001.csv").read_bytes() == others
+    (wide / f"{WHO}.csv").write_bytes(kept)  # it comes back with a copy
+    assert any(f"{WHO}.csv: is of {WHO}, who withdrew" in line for line in audit_study(planted))
+    say("withdraw", planted.path, "--participant", WHO, "--yes")
+    assert audit_study(planted) == []
+
+
 def test_links_go_and_what_they_lead_to_is_named_and_left(
     planted: StudyFolder, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -51,6 +51,7 @@ CAUSES = {
     "device_error": (replace(WHOLE, error="device is gone"), "device is gone"),
     "not_delivered": (replace(WHOLE, delivered=fail(level_error_db=-6.0)), "6.0 dB too weak"),
 }
+DEAD = replace(WHOLE, delivered=fail(), fault="left: dead (-40 dB); check its cable")
 ALL = frozenset({"underrun", "clipped", "device_error", "too_fast", "not_felt"})
 
 
@@ -87,12 +88,14 @@ def test_limits_are_those_of_the_study() -> None:
     assert "no trace" in find_loss(weak, Flow(level_error_db=None, min_coherence=0.25))
 
 
-@pytest.mark.parametrize("cause", CAUSES)
+@pytest.mark.parametrize(
+    ("cause", "bad", "words"),
+    [*((cause, *one) for cause, one in CAUSES.items()), ("not_delivered", DEAD, "left: dead")],
+)
 def test_two_in_a_row_call_the_experimenter_with_the_cause_and_cost_no_attempt(
-    present: Present, scripted: type, plan: Plan, cause: str
+    present: Present, scripted: type, plan: Plan, cause: str, bad: Playback, words: str
 ) -> None:
     """Then after each further one, and no longer once it played again."""
-    bad, words = CAUSES[cause]
     plan = replace(plan, flow=replace(plan.flow, reject=tuple(ALL)))
     presenter = scripted(playbacks={(number, 1): [bad] for number in (3, 4, 5, 8)})
     records = present(presenter, plan=plan)
@@ -160,6 +163,32 @@ def test_answered_and_given_up_are_counted_apart(
     assert (progress.answered, progress.given_up, progress.total) == (18, 2, 20)
     attempts = Counter(data["trial"] for data in list_events(records, "shown"))
     assert (attempts[3], attempts[5]) == (3, MOST_LOST)
+    assert list(audit_steps(records, plan)) == []
+
+
+def test_a_fault_within_tolerance_is_said_once_and_spoils_nothing(
+    present: Present, scripted: type, plan: Plan
+) -> None:
+    """One that goes on through all trials, its figures changing; beyond the tolerance it is part of the cause."""
+    hums = {
+        (n, 1): [replace(WHOLE, delivered=fail(), notice=f"hum of 5{n % 2} Hz")]
+        for n in range(1, 9)
+    }
+    weak = replace(WHOLE, delivered=fail(level_error_db=-6.0), notice="right: gain -6.1 dB")
+    places: list[Any] = []
+    presenter = scripted(playbacks={**hums, (9, 1): [weak], (10, 1): [weak]})
+    records = present(presenter, on_step=places.append)
+    assert [place.notice for place in places if place.notice] == [
+        "hum of 51 Hz",
+        "right: gain -6.1 dB",
+    ]
+    (call,) = list_events(records, "device_failed")
+    assert "6.0 dB too weak" in call["reason"]
+    assert call["reason"].endswith("right: gain -6.1 dB")
+    spoiled = [data["trial"] for data in list_events(records, "spoiled")]
+    assert spoiled == [9, 10]
+    assert "8 x hum of 51 Hz" in list(find_flags(Chain(records, "", b"")))
+    assert replay(plan, records).answered == 20
     assert list(audit_steps(records, plan)) == []
 
 
