@@ -51,8 +51,12 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     rivals: bool = False,
     out: Path | None = None,
     progress: Progress | None = None,
+    finish: Callable[[Path], None] | None = None,
 ) -> Results:
-    """Derive the table of ratings, or take one from elsewhere, and write the report as the study declares it."""
+    """Derive the table of ratings, or take one from elsewhere, and write the report as the study declares it.
+
+    finish: writes what else belongs into the folder of the report, before the checkpoint.
+    """
     settings = _read_settings(study, ratings, manifest)
     chosen = settings.analysis if settings else AnalysisTable()
     further, about, asked = Further(pd.DataFrame(), ()), About(), metrics or ()
@@ -74,7 +78,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         further = add_rivals(study, None if manifest else settings, listed, further=further)
     declared = declaring(study, "analyze") if out is None else nullcontext()
     with closing_results(study, folder), declared:
-        return write_report(
+        results = write_report(
             ratings or study.ratings,
             listed,
             folder,
@@ -90,6 +94,9 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             rng=settings.study.seed if settings else 0,
             progress=progress,
         )
+        if finish:
+            finish(folder)
+    return results
 
 
 def _read_settings(study: StudyFolder, *inputs: Path | None) -> Settings | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Self
 
 from feel321.doors import as_path, as_seed, follow
@@ -194,21 +195,18 @@ class Study:
         from feel321.study.analyze import analyze_study
         from feel321.study.export.narrative import write_methods
 
-        target = None if out is None else as_path(out)
         with follow(self.progress, "analyze") as step:
-            results = analyze_study(
+            return analyze_study(
                 self.folder,
                 ratings=None if ratings is None else as_path(ratings),
                 manifest=None if manifest is None else as_path(manifest),
                 metrics=metrics or None,
                 draws=draws,
                 rivals=rivals,
-                out=target,
+                out=None if out is None else as_path(out),
                 progress=step,
+                finish=partial(write_methods, self.folder) if ratings is None else None,
             )
-        if ratings is None:
-            write_methods(self.folder, target or self.folder.report)
-        return results
 
     def audit(self, *, expect: str = "", remotes: Sequence[str] = ()) -> Audit:
         """Verify plans, journals, stimuli and tables, and compare all files with the checkpoints.

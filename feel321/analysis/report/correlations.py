@@ -21,18 +21,18 @@ from feel321.analysis.association.correlate import correlate_items, make_panel
 from feel321.analysis.figures import kinds
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows
-from feel321.analysis.standard import p1401
+from feel321.analysis.standard import compare_p1401, p1401
 from feel321.analysis.table.items import Part, make_items, split_tests
 from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart
 from feel321.analysis.table.schema import APART, CHOSEN, PAIRED, RECAST
 from feel321.analysis.words import TWO_WAY, format_method, format_name
+from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from feel321.analysis.association.correlate import Panel
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Items, Table
-    from feel321.records import Statistic
 
 LEADING, RANKED, DRAWN = "pearson", "spearman", "within"
 """The method that the words give, the one it is checked against, and the one that scatters and cards give."""
@@ -211,10 +211,26 @@ STIMULI = INDEPENDENT.format("stimuli")
 def compute_standard(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Compute what other studies print."""
     notes: list[str] = []
-    rows: dict[str, list[Row]] = {"p1401": [], "dependent": [], "repeated": []}
+    tables = ("p1401", "p1401_differences", "dependent", "repeated")
+    rows: dict[str, list[Row]] = {name: [] for name in tables}
     for part in split_tests(table):
         items = make_items(part.rows, [*table.metrics, *table.further])
-        rows["p1401"] += _judge(part, table, items, notes=notes)
+        judged = _judge(part, table, items, notes=notes)
+        for key, one in judged.items():
+            rows["p1401"] += _list_judged(part, key, one)
+        for first, other in combinations((key for key in judged if key[0] in table.metrics), 2):
+            if first[1:] == other[1:]:
+                found = compare_p1401(judged[first], judged[other])
+                tests = ("plcc_z", "outlier_z", "rmse_f", "rmse_star_f")
+                names = dict(zip(("metric", "order", "mapping"), first, strict=True))
+                rows["p1401_differences"] += list_rows(
+                    [found],
+                    {name: f"{name} - - {name[:-2]}_p" for name in tests},
+                    {"n": "n_items"},
+                    second_metric=other[0],
+                    **names,
+                    **part.keys,
+                )
         rows["dependent"] += _compare_classically(part, items, table.metrics, notes=notes)
         for name in table.metrics:
             columns = [part.rows[key].to_numpy() for key in (name, "rating", "participant")]
@@ -231,23 +247,36 @@ def compute_standard(table: Table, choices: Choices) -> Found:  # noqa: ARG001 -
 ERRORS = ("srocc", "rmse_star", "outlier_ratio", "outlier_ratio_sd")
 
 
-def _judge(part: Part, table: Table, items: Items, *, notes: list[str]) -> Iterator[Row]:
+Judged = dict[tuple[str, int, str], Statistic]
+"""By metric, order and mapping."""
+
+
+def _judge(part: Part, table: Table, items: Items, *, notes: list[str]) -> Judged:
+    judged: Judged = {}
     names = enumerate((*table.metrics, *table.further))
     for (place, name), order, mapping in product(names, (1, 3), ("fitted", "held out")):
         groups = items.of_source[items.recordings] if mapping == "held out" else None
         higher = table.info[name].higher if name in table.info else None
         votes, values = items.ratings.T, items.metrics[place]
         try:
-            found = dict(p1401(votes, values, order=order, groups=groups, higher=higher))
+            judged[name, order, mapping] = p1401(
+                votes, values, order=order, groups=groups, higher=higher
+            )
         except ValueError as error:
             notes.append(f"{part.lead}, P.1401 of {name}: left out. {error}")
-            continue
-        found |= {f"coefficient_{power}": one for power, one in enumerate(found["coefficients"])}
-        quantities = {one: f"{one} {one}_low {one}_high" for one in ("plcc", "rmse")}
-        single = (*ERRORS, *(one for one in found if one.startswith("coefficient_")))
-        quantities |= dict(zip(single, single, strict=True))
-        own: Row = {"metric": name, "order": order, "mapping": mapping, "interval": STIMULI}
-        yield from list_rows([found], quantities, {"n": "n_items"}, **own, **part.keys)
+    return judged
+
+
+def _list_judged(part: Part, key: tuple[str, int, str], one: Statistic) -> Iterator[Row]:
+    found = dict(one)
+    found |= {f"coefficient_{power}": value for power, value in enumerate(found["coefficients"])}
+    quantities = {name: f"{name} {name}_low {name}_high" for name in ("plcc", "rmse")}
+    single = (*ERRORS, *(name for name in found if name.startswith("coefficient_")))
+    quantities |= dict(zip(single, single, strict=True))
+    own: Row = dict(zip(("metric", "order", "mapping"), key, strict=True))
+    yield from list_rows(
+        [found], quantities, {"n": "n_items"}, interval=STIMULI, **own, **part.keys
+    )
 
 
 def _compare_classically(

@@ -366,6 +366,15 @@ def recording_output(study: StudyFolder, verb: str, path: Path, *, now: Clock) -
         lines = [json.dumps(asdict(one), ensure_ascii=False) for one in (*others, new)]
         text = "".join(f"{line}\n" for line in lines)
         write_text(study.path / OUTPUTS_FILE, text, private=True)
+        try:
+            with closing_results(study, path):
+                yield
+        except BaseException:
+            if not path.exists():  # nothing was written
+                text = "".join(f"{line}\n" for line in lines[:-1])
+                write_text(study.path / OUTPUTS_FILE, text, private=True)
+            raise
+        return
     with closing_results(study, path):
         yield
 
