@@ -107,10 +107,14 @@ def _write(path: Path, chunks: Iterable[bytes], *, private: bool = False) -> int
 @contextmanager
 def _unfinished(path: Path, *, private: bool) -> Iterator[tuple[BinaryIO, Path]]:
     """Open a file beside its target, so that the replacement stays on one file system and is atomic; it is held."""
-    place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
-    flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-    descriptor = os.open(place, flags, find_mode(path, private=private))
-    _lock(descriptor, wait=True)
+    while True:
+        place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
+        flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
+        descriptor = os.open(place, flags, find_mode(path, private=private))
+        _lock(descriptor, wait=True)
+        if os.fstat(descriptor).st_nlink:
+            break
+        os.close(descriptor)  # pragma: no cover - swept between its making and its hold
     try:
         with os.fdopen(descriptor, "wb") as file:
             yield file, place
@@ -194,9 +198,13 @@ def temporary_folder(beside: Path | None = None) -> Iterator[Path]:
     It is held by its process: `sweep` removes one whose process was killed.
     """
     place = None if beside is None else beside.parent
-    folder = Path(tempfile.mkdtemp(prefix=f"feel321-{os.getpid()}-", dir=place))
-    hold = _hold(folder)
-    _lock(hold, wait=True)
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=f"feel321-{os.getpid()}-", dir=place))
+        hold = _hold(folder)
+        _lock(hold, wait=True)
+        if folder.is_dir():
+            break
+        os.close(hold)  # pragma: no cover - swept between its making and its hold
     try:
         yield folder
     finally:

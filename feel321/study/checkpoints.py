@@ -237,8 +237,8 @@ def take_checkpoint(
     """
     remote = remote and _prepare_remote(remote, study)
     ahead = _find_ahead(read_own(study)) if reason else []
-    moment = now()
     with _opening(study) as repo:
+        moment = now()
         if (own := read_own(study)).problem:
             raise ValueError(own.problem)
         branch, marks = _name_branch(study, repo), take_marks(study)
@@ -332,10 +332,11 @@ def _push_all(repo: Repo, own: Own, branch: str, *, new: str) -> dict[str, str]:
         client, path = _find_client(url)
         client.send_pack(path, choose, repo.generate_pack_data)
 
-    for url in dict.fromkeys([*own.pushed, *filter(None, [new])]):
+    urls = dict.fromkeys([*own.pushed, *filter(None, [new])])
+    for url in urls:
         there = set() if url == new else own.pushed[url]
         try:
-            _limit(PUSH_S, partial(push, url, there))
+            _limit(PUSH_S / len(urls), partial(push, url, there))  # others wait for the lock
         except OSError as error:
             problems[url] = str(error)
             continue

@@ -150,6 +150,8 @@ class Study:
         """
         from feel321.study.simulation import simulate_study
 
+        if participants < 1:
+            raise ValueError(f"participants must be 1 or more, got {participants}")
         with follow(self.progress, "simulate") as step:
             return simulate_study(
                 self.folder,

@@ -39,11 +39,17 @@ def write_wide(study: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     """Write the trials of each participant, and remove the files of those who are no longer there."""
     folder = study / WIDE
     people = {name: list(own) for name, own in groupby(rows, itemgetter("participant"))}
-    for stale in folder.glob("*.csv"):
-        if stale.stem not in people and stale.read_bytes().startswith(b"participant,"):
-            stale.unlink()  # of nobody here; a recording that lies here is left
+    own_start = ",".join(ONCE.values()).encode()
+    foreign = set()  # a recording, or a table of the lab's own, that lies here is left
+    for path in folder.glob("*.csv"):
+        if not path.read_bytes().startswith(own_start):
+            foreign.add(path.stem)
+        elif path.stem not in people:
+            path.unlink()  # of nobody here
     if people:
         make_folder(folder, private=True)
+    if taken := sorted(foreign & people.keys()):
+        raise FileExistsError(f"{folder / taken[0]}.csv: is not feel321's; move it away")
     for name, own in people.items():
         trials = [
             list(one) for _, one in groupby(own, itemgetter("session", "trial", "response_time_s"))

@@ -5,6 +5,7 @@ rig's limits nor the sensor's full scale is passed; the strongest one is the mea
 coil by coil; from it the filters are designed, as often as one likes, and verified by playing through them.
 """
 
+import hashlib
 import io
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -57,6 +58,7 @@ SILENCE_S = 0.5
 TAPS_PERIODS = 12.0  # of the band's lowest frequency: the length of a filter
 STEP_HZ = 0.5  # of the frequencies in a certificate
 MOST_GAIN_DB = 50.0  # of a filter that is proposed; beyond, the band is narrowed
+LEAST_BAND = 0.8  # of the octaves that were asked, for a coil to pass
 SPARE_DB = 1.0  # by which a proposed gain exceeds what the response asks for
 KEPT = timedelta(
     days=1
@@ -355,6 +357,12 @@ def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
             "level, or narrow band_hz under [calibration]",
         ),
         (
+            math.log(coil.band_hz[1] / coil.band_hz[0])
+            < LEAST_BAND * math.log(own.band_hz[1] / own.band_hz[0]),
+            f"is flat from {coil.band_hz[0]:.0f} to {coil.band_hz[1]:.0f} Hz only, asked was {own.band_hz[0]:g} to "
+            f"{own.band_hz[1]:g}; raise level, or narrow band_hz under [calibration]",
+        ),
+        (
             turned_deg > MOST_TURNED_DEG,
             f"moves {turned_deg:.0f}° from the direction in rig.toml; check its channel and polarity, or write "
             f"direction = {np.round(coil.direction, 2).tolist()}",
@@ -402,7 +410,10 @@ def read_run(path: Path) -> tuple[CoilRun | None, datetime]:
 
 def name_run(folder: Path, rig: Rig, actuator: ActuatorTable) -> Path:
     """Name the file of a coil's measurements: another rig has others."""
-    return folder / FOLDER / "sweeps" / f"{digest(rig)[:12]}-{actuator.channel}.npz"
+    scale = rig.sensor.model_dump_json() if rig.sensor else ""
+    sensor = hashlib.sha256(scale.encode()).hexdigest()
+    name = f"{digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"  # it scales what was measured
+    return folder / FOLDER / "sweeps" / name
 
 
 @dataclass(slots=True, kw_only=True)
@@ -458,9 +469,17 @@ class Calibration:
             )
         coils = self.design(runs)
         if (last := self._find_last()) is not None:  # where all were measured in one recording
-            known = read_certificate(last).coils
-            coils = {name: replace(one, latency=known[name].latency) for name, one in coils.items()}
-        return self._certify(coils)
+            known = read_certificate(last)
+            if known.method == MEASURED:
+                coils = {
+                    name: replace(one, latency=known.coils[name].latency)
+                    for name, one in coils.items()
+                }
+        # It is as old as the oldest sweep.
+        names = (name_run(self.folder, self.rig, one) for one in self.rig.actuators)
+        oldest = min(read_run(name)[1] for name in names)
+        expires = oldest + timedelta(days=self.rig.calibration.valid_days)
+        return replace(self._certify(coils), expires_utc=expires.isoformat(timespec="seconds"))
 
     def _find_last(self) -> Path | None:
         return max((self.folder / FOLDER).glob(f"*-{digest(self.rig)[:8]}.json"), default=None)

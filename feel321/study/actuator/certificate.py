@@ -197,6 +197,11 @@ class Certificate:
                 f"certificate {self.id} is of another rig (digest {self.rig_sha256[:12]}, this rig's is {own[:12]}); "
                 f"put the old rig.toml back, or {again}"
             )
+        if self.sensor and rig.sensor and rig.sensor != SensorTable.model_validate(self.sensor):
+            found.append(
+                f"certificate {self.id} was measured with another sensor, or another scale of it; put [sensor] back, or "
+                f"{again}"
+            )
         if now >= datetime.fromisoformat(self.expires_utc):
             found.append(f"certificate {self.id} expired on {self.expires_utc[:10]}; {again}")
         if rate_hz is not None and rate_hz != self.rate_hz:

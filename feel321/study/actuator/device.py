@@ -469,8 +469,11 @@ class Trigger:
     def leave(self) -> None:
         """Wait no longer."""
         self._is_over = True
-        if self._watching is not None:
-            self._watching.join()
+        # A port that takes nothing may not hold up the session.
+        if self._watching is not None and not join(
+            self._watching, patience_s=CLOSING_S + self._table.duration_s
+        ):
+            self.error = f"trigger on {self._table.address}: the port takes nothing"
 
     def _run(self, find_onset: Callable[[], float | None]) -> None:
         while not self._is_over:

@@ -341,7 +341,9 @@ class Diagnosis:
         measured = measured - measured.mean(axis=1, keepdims=True)
         scene = Scene(self.certificate, sent, measured)
         left, hum = scene.find_left(measured)
-        hum_hz = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured))
+        # Harmonics of what was asked at 25 or 30 Hz are no hum.
+        least = max(HUM_SHARE, *self._distorts.values())
+        hum_hz = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured) * least / HUM_SHARE)
         for _ in range(N_HUMS if hum_hz else 0):  # a strong one hides what it is to be told from
             more = scene.find_left(measured, [k * hum_hz for k in range(1, 6)])[1]
             measured, hum = measured - more, hum + more
@@ -523,9 +525,13 @@ def find_sensor_fault(measured: Samples, *, full_scale_m_s2: float) -> str:
         edges = np.flatnonzero(
             np.diff(np.concatenate([[False], size >= peak * (1 - 1e-6), [False]]))
         )
-        longest = int((edges[1::2] - edges[::2]).max())
-        # A quiet signal of few steps is flat by itself.
-        is_flat = longest >= FLAT and len(np.unique(size)) > LEAST_STEPS
+        begins, ends = edges[::2], edges[1::2]
+        # A quiet signal of few steps is flat by itself, and so is the smooth crest of a slow one, which is left by one
+        # step or two.
+        steps, around = np.unique(size), np.pad(size, 1, constant_values=peak)
+        jumps = peak - np.minimum(around[begins], around[ends + 1])
+        is_cut = (ends - begins >= FLAT) & (jumps > 2.5 * np.diff(steps).min(initial=peak))
+        is_flat = is_cut.any() and len(steps) > LEAST_STEPS
         if is_flat or peak >= CLIPPED * full_scale_m_s2:
             return f"sensor saturated at {peak:.3g} m/s²: lower the gain of its input, and its full_scale_m_s2 with it"
     return ""

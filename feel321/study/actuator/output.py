@@ -291,7 +291,7 @@ class Output:
         fault, notice, delivered = self._compare(cue) if is_whole else ("", "", {})
         if self._trigger is not None:
             self._trigger.leave()
-            fault = fault or self._trigger.error
+            notice = notice or self._trigger.error  # the hand got what was asked
             if self._trigger.sent_s is not None:
                 measured["trigger_s"] = self._trigger.sent_s
         return Playback(
