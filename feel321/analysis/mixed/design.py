@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import warnings
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -411,3 +411,25 @@ def _check_fixed(design: MixedDesign) -> None:
         raise ValueError(
             "data must have a response with scatter, got one that is constant, or that the fixed effects give exactly"
         )
+
+
+Codes: TypeAlias = "NDArray[np.intp]"
+
+
+class Nested(NamedTuple):
+    """The unit of every level of a factor, and its number among the unit's levels, (n_levels,) each."""
+
+    unit: Codes
+    place: Codes
+
+
+def nest(factor: Factor, unit: Factor) -> Nested | None:
+    """Find the unit of every level of a factor; None where one belongs to several."""
+    owner = np.empty(len(factor.levels), np.intp)
+    owner[factor.index] = unit.index
+    if (owner[factor.index] != unit.index).any():
+        return None
+    sizes, place = np.bincount(owner), np.empty(len(owner), np.intp)
+    first = np.repeat(np.cumsum(sizes) - sizes, sizes)
+    place[np.argsort(owner, kind="stable")] = np.arange(len(owner)) - first
+    return Nested(owner, place)

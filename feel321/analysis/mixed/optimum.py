@@ -22,18 +22,19 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321.analysis.mixed.design import nest
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from feel321.analysis.mixed.design import Factor, MixedDesign
+    from feel321.analysis.mixed.design import Codes, Factor, MixedDesign, Nested
     from feel321.types import Samples
 
-Codes = NDArray[np.intp]
 
 MOST_LEVELS = 10_000
 """Effects beside those of the unit: with more, the dense equations alone need gigabytes."""
@@ -101,7 +102,7 @@ class Spread:
     """L of some blocks' columns, and where these stand: L[rows, columns] = theta[places], 1 for the extra columns."""
 
     def __init__(self, blocks: Sequence[Block], counts: Sequence[int], *, extra: int = 0) -> None:
-        self.n_effects, self.first, parts = 0, dict[str, Codes](), [(np.empty(0, np.intp),) * 3]
+        self.n_effects, self.first, parts = 0, dict[str, "Codes"](), [(np.empty(0, np.intp),) * 3]
         for block, count in zip(blocks, counts, strict=True):
             start = self.n_effects + len(block.scale) * np.arange(count)
             self.n_effects += len(block.scale) * count
@@ -400,18 +401,11 @@ def _find_penalised(blocks: Sequence[Block], names: Sequence[str]) -> NDArray[np
     ])
 
 
-class Nested(NamedTuple):
-    """The unit of every level of a factor, and its number among the unit's levels, (n_levels,) each."""
-
-    unit: Codes
-    place: Codes
-
-
 def _choose_unit(factors: Sequence[Factor]) -> tuple[Factor, dict[str, Nested]]:
     """Choose the factor that is cheapest to eliminate, with all that is nested in it."""
     found = []
     for unit in factors:
-        nested = {factor.name: where for factor in factors if (where := _nest(factor, unit))}
+        nested = {factor.name: where for factor in factors if (where := nest(factor, unit))}
         own = sum(
             int(nested[one.name].place.max() + 1) * one.width
             for one in factors
@@ -421,18 +415,6 @@ def _choose_unit(factors: Sequence[Factor]) -> tuple[Factor, dict[str, Nested]]:
         cost = len(unit.levels) * float(own) ** 2 * (own + shared) + float(shared) ** 3
         found.append((cost, unit, nested))
     return min(found, key=lambda one: one[0])[1:]
-
-
-def _nest(factor: Factor, unit: Factor) -> Nested | None:
-    """Find the unit of every level of a factor; None where one belongs to several."""
-    owner = np.empty(len(factor.levels), np.intp)
-    owner[factor.index] = unit.index
-    if (owner[factor.index] != unit.index).any():
-        return None
-    sizes, place = np.bincount(owner), np.empty(len(owner), np.intp)
-    first = np.repeat(np.cumsum(sizes) - sizes, sizes)
-    place[np.argsort(owner, kind="stable")] = np.arange(len(owner)) - first
-    return Nested(owner, place)
 
 
 def _find_kinds(
