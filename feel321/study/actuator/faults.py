@@ -70,13 +70,15 @@ class Fit:
 class Motion:
     """What one coil, or several in one direction, did in a playback, and how that fits what was sent to it.
 
-    noise: over what was asked of it; distortion: what no linear response explains, over the motion.
+    noise: over what was asked of it; distortion: what no linear response explains, over the motion. level_db: of all
+    its motion over what was asked.
     """
 
     name: str
     fit: Fit
     noise: float
     distortion: float
+    level_db: float
     is_asked: bool
     is_moving: bool
 
@@ -365,6 +367,7 @@ class Diagnosis:
             scene.find_noise(name),
             energy(scene.actual[name]),
         )
+        level_db = DB / 2 * math.log(max(moved - noise, TINY) / max(energy(asked), TINY))
         is_asked = energy(asked) > CLEAR**2 * noise
         fit = scene.fit(name, asked)
         if is_asked and fit.left > FOLLOWS:
@@ -379,7 +382,8 @@ class Diagnosis:
                 asked = scene.reshape(asked, self._resonances[name], fit)
         rest = max(energy(scene.find_rest(name, asked)) - noise, 0.0)
         distortion = math.sqrt(rest / max(moved, TINY))
-        return Motion(name, fit, noise, distortion, is_asked, moved > CLEAR**2 * noise)
+        is_moving = moved > CLEAR**2 * noise
+        return Motion(name, fit, noise, distortion, level_db, is_asked, is_moving)
 
     def _is_within(self, motion: Motion) -> bool:
         fit = motion.fit
@@ -387,7 +391,7 @@ class Diagnosis:
             motion.is_moving
             and fit.sign > 0
             and fit.left < FOLLOWS
-            and abs(fit.gain_db) <= self._tolerance_db
+            and max(abs(fit.gain_db), abs(motion.level_db)) <= self._tolerance_db
             and motion.distortion <= self._most_distortion
         )
 

@@ -476,11 +476,12 @@ FILE_HZ = 8000
 NOISE = np.clip(np.random.default_rng(2).normal(0, 0.2, (4000, 2)), -1, 1).astype(np.float32)
 
 
-def make_output(folder: Path, clock: Clock, **tables: Any) -> Output:
+def make_output(folder: Path, clock: Clock, check: Any = None, **tables: Any) -> Output:
     rig = Rig(**{"limits": LIMITS, **tables})
     sound = np.zeros((4000, rig.n_channels), dtype=np.float32)
     sound[:, :2] = NOISE
-    output = Output(rig, {"s": sound}, rate_hz=FILE_HZ, folder=folder / "delivered", clock=clock)
+    own = {"folder": folder / "delivered", "clock": clock, "check": check}
+    output = Output(rig, {"s": sound}, rate_hz=FILE_HZ, **own)
     output.open()
     return output
 
@@ -531,3 +532,23 @@ def test_a_filter_begins_within_the_gap_and_the_onset_is_that_of_the_vibration(
     samples, _ = read_wav(tmp_path / "delivered/0001.wav")
     first = int(np.flatnonzero(samples.any(axis=0))[0])
     assert first / FILE_HZ == pytest.approx(onset_s - 10 - 0.2, abs=1 / FILE_HZ)
+
+
+def test_what_spoils_and_what_is_only_said_stay_apart_and_of_a_stopped_one_nothing_is_known(
+    tmp_path: Path,
+) -> None:
+    found = {"level_error_db": 0.5}
+    check = SimpleNamespace(diagnose=lambda *_, **__: ("dead", "hum"), describe=lambda *_: found)
+    clock = Clock(10.0)
+    output = make_output(tmp_path, clock, check)
+    play(output, clock)
+    played = output.collect()
+    assert (played.fault, played.notice, played.delivered) == ("dead", "hum", found)
+    output.start("s", gap_s=0.1)
+    clock.wait(0.3)
+    assert output.is_playing
+    output.stop()
+    clock.wait(0.1)
+    assert not output.is_playing
+    played = output.collect()
+    assert (played.completed, played.fault, played.notice, played.delivered) == (False, "", "", {})
