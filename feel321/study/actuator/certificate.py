@@ -199,8 +199,8 @@ class Certificate:
             )
         if self.sensor and rig.sensor and rig.sensor != SensorTable.model_validate(self.sensor):
             found.append(
-                f"certificate {self.id} was measured with another sensor, or another scale of it; put [sensor] back, or "
-                f"{again}"
+                f"certificate {self.id} was measured with another sensor, or another scale of it; "
+                f"put [sensor] back, or {again}"
             )
         if now >= datetime.fromisoformat(self.expires_utc):
             found.append(f"certificate {self.id} expired on {self.expires_utc[:10]}; {again}")
