@@ -158,6 +158,15 @@ def test_draws_are_as_declared_unless_asked_for_and_the_seed_is_the_studys(
     assert [(how["draws"], how["rng"]) for how in chosen] == [(2000, 5), (7, 5)]
 
 
+def test_an_analysis_after_a_change_accounts_for_all_that_it_wrote(pilot: Study) -> None:
+    """The methods section, too, belongs to the checkpoint of its analysis."""
+    pilot.analyze(draws=10)
+    pilot.seal(reason="before")
+    pilot.with_settings({"publication.title": "Another title"}).analyze(draws=10)
+    (found,) = Study.open(pilot.folder.path).audit().findings
+    assert found.startswith(f"{pilot.folder.settings}: was changed")
+
+
 def test_a_built_set_has_a_page_unless_none_is_wanted(smallest: StudyFolder) -> None:
     page, manifest = smallest.stimuli / "index.html", smallest.manifest.read_bytes()
     assert 'id="bumps__mag321__as_is"' in page.read_text(encoding="utf-8")
