@@ -295,6 +295,7 @@ def test_a_tombstone_wins_wherever_it_is(stations: Any) -> None:
     shutil.rmtree(fresh.sessions)
     for name in ("ratings.csv", "participants.csv"):
         (fresh.path / name).unlink(missing_ok=True)
+    shutil.rmtree(fresh.path / "data")
     shutil.rmtree(fresh.path / ".evidence")
     collect(fresh, one, main)
     assert read_files(fresh)["sim001/withdrawn.json"] in {
