@@ -166,6 +166,8 @@ def probe_coils(
     known = certificate if certificate and certificate.method == MEASURED else None
     is_seen = len(require_sensor(rig).inputs) == len(AXES)
     diagnosis = Diagnosis(known, rig) if known and is_seen else None
+    if diagnosis is not None:
+        diagnosis.lag = None  # a stream that was opened anew has not the certificate's latency
     with open_bench(rig, rate_hz=rate_hz, n_longest=len(asked)) as bench:
         silence = bench.play({}, n=round(rate_hz))
         for actuator in rig.actuators:
@@ -179,9 +181,11 @@ def probe_coils(
             if np.ptp(recorded):
                 seen = measure_sweep(replace(sweep, peak=peak), recorded)
             if diagnosis:
-                sent = np.zeros((len(asked), rig.n_channels), dtype=np.float32)
-                sent[:, actuator.channel - 1] = peak * asked
-                fault = diagnosis.judge(sent, recorded).removeprefix(f"{actuator.name}: ")
+                # One sweep only: a converter at another rate need not stretch the pause before the second.
+                sent = np.zeros((sweep.period, rig.n_channels), dtype=np.float32)
+                sent[:, actuator.channel - 1] = peak * asked[: sweep.period]
+                once = recorded[:, : sweep.period]
+                fault = diagnosis.judge(sent, once).removeprefix(f"{actuator.name}: ")
             else:
                 fault = find_fault(rig, actuator, seen, recorded=recorded, sent=peak * asked)
             found[actuator.name] = {**_describe(seen), "fault": fault}

@@ -26,6 +26,7 @@ FLAT = 6  # equal samples at a sensor's largest value are no chance
 CLEAR = 5.0  # least ratio of the motion asked of a coil to the noise, for it to be judged
 PARALLEL = 0.9  # cosine between coils that a sensor cannot separate
 FOLLOWS = 0.5  # share of a coil's motion that must follow what was sent to it
+CLOSELY = 0.9  # less may be a resonance that rings at any rate: other rates are tried
 DEAD_DB = -20.0
 MOVED, DAMPED = 0.03, 0.3  # changes of a resonance and of its damping that count
 BETTER = (
@@ -401,10 +402,17 @@ class Diagnosis:
             return
         if not any(one.is_moving for one in self.motions.values()):
             names = " and ".join(one.name for one in asked)
-            yield f"{names}: dead: the sensor shows noise only; check amplifier, coils, and how the sensor is held"
+            # Of one coil alone nothing is known of the others, which may well move.
+            is_all = len(asked) == len(self.motions)
+            where = (
+                "amplifier, coils, and how the sensor is held"
+                if is_all
+                else "cable, amplifier, and its channel, which the sink may lack"
+            )
+            yield f"{names}: dead: the sensor shows noise only; check {where}"
             return
-        if scene.follows < FOLLOWS:
-            yield self._find_rate(scene, sent, measured)
+        if scene.follows < CLOSELY and (rate := self._find_rate(scene, sent, measured)):
+            yield rate
             return
         if swapped := self._find_swap(scene):
             yield swapped
@@ -420,15 +428,15 @@ class Diagnosis:
             yield from self._find_delay([one.fit.lag for one in asked], scene.rate_hz)
 
     def _find_rate(self, scene: Scene, sent: Frames, measured: Samples) -> str:
-        """Name a converter that runs at another rate; else what is known."""
+        """Name a converter that runs at another rate; else what is known, or nothing if most follows."""
         others = {
             rate: Scene(self.certificate, sent, measured, rate=rate).follows for rate in RATES
         }
         rate = max(others, key=others.__getitem__)
-        if others[rate] > max(scene.follows / BETTER, FOLLOWS):
+        if others[rate] > FOLLOWS and 1 - others[rate] < BETTER * (1 - scene.follows):
             played_hz = rate * scene.rate_hz
             return f"wrong rate: played at {played_hz:.0f} Hz instead of {scene.rate_hz:.0f} Hz; set the device"
-        return self._say_unknown(self.motions.values())
+        return self._say_unknown(self.motions.values()) if scene.follows < FOLLOWS else ""
 
     def _find_swap(self, scene: Scene) -> str:
         """Name the pair of coils that do what is sent to the other."""
@@ -504,7 +512,7 @@ class Diagnosis:
         if before is not None and LATE_S < abs(self.lag - before) / rate_hz < self._most_s:
             yield (
                 f"delay moved by {1e3 * (self.lag - before) / rate_hz:+.1f} ms: something between output and coils "
-                "holds more than before"
+                "holds more or less than before"
             )
 
     @staticmethod

@@ -165,7 +165,8 @@ class Output:
             n_room, n_axes = longest + round(BEYOND_S * rate_hz), len(rig.sensor.inputs)
             self._room = np.zeros((n_room, n_axes), dtype=np.float32)
         self._sink: Sink | None = None
-        self._n_frames = self._n_dry = self._n_dry_before = 0
+        self._n_frames = self._n_dry = 0
+        self._n_dry_before = -1  # a stream that was opened anew has not the certificate's latency
         self._opening: Thread | None = None
         self._opening_error = self._error = ""
         self._take: Take | None = None
