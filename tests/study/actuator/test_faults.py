@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 
 from feel321.study.actuator.faults import Diagnosis, find_resonance
-from tests.study.actuator.outside import DIRECTIONS, Loop, certify, make_rig, make_track, play, send
+from feel321.study.actuator.response import Sweep, make_sweep
+from tests.study.actuator.outside import (
+    DIRECTIONS,
+    NAMES,
+    RATE_HZ,
+    Loop,
+    certify,
+    make_rig,
+    make_track,
+    play,
+    send,
+)
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate
@@ -75,6 +86,26 @@ def test_coils_that_get_the_same_are_told_apart(name: str) -> None:
     track = make_track(4, peak=6.0)
     found = diagnose("ordinary", send(certified("ordinary"), track, track, 0 * track), **faults)
     assert found.startswith(told)
+
+
+@pytest.mark.parametrize("loop", LOOPS)
+@pytest.mark.parametrize("coil", range(3))
+def test_a_sweep_on_one_coil_shows_a_wrong_rate_and_what_may_be_dead(loop: str, coil: int) -> None:
+    """A resonance that rings at any rate is no inverted coil; one coil says nothing of the others."""
+    sweep = Sweep(rate_hz=RATE_HZ, duration_s=1.0, pause_s=0.4, n_repeats=2, peak=0.2)
+    sent = np.zeros((sweep.period, 3), dtype=np.float32)
+    sent[:, coil] = make_sweep(sweep)[: sweep.period]
+    found = Diagnosis(certified(loop), make_rig())
+    slow = found.judge(sent, play(LOOPS[loop].but(rate=0.91875), sent))
+    assert slow.startswith("wrong rate: played at 44100 Hz")
+    gains = [float(place != coil) for place in range(3)]
+    found = Diagnosis(certified(loop), make_rig())
+    dead = found.judge(sent, play(LOOPS[loop].but(gains=gains), sent))
+    assert dead.startswith(f"{NAMES[coil]}: dead")
+    assert "which the sink may lack" in dead
+    assert "the sink" not in diagnose(
+        loop, send(certified(loop), *(make_track(1, peak=6.0),) * 3), gains=(0, 0, 0)
+    )
 
 
 MILD = {"rattle", "stronger", "weaker", "all weaker", "heat", "damped", "hum", "hum of 60", "late"}

@@ -552,3 +552,21 @@ def test_what_spoils_and_what_is_only_said_stay_apart_and_of_a_stopped_one_nothi
     assert not output.is_playing
     played = output.collect()
     assert (played.completed, played.fault, played.notice, played.delivered) == (False, "", "", {})
+
+
+def test_a_stream_opened_anew_has_no_latency_to_keep(tmp_path: Path) -> None:
+    """A sound server's latency differs from opening to opening: the first playback only finds it."""
+    kept: list[bool] = []
+
+    def diagnose(*_: object, keeps_latency: bool) -> tuple[str, str]:
+        kept.append(keeps_latency)
+        return "", ""
+
+    clock = Clock(10.0)
+    check = SimpleNamespace(diagnose=diagnose, describe=lambda *_: {})
+    for _ in range(2):
+        output = make_output(tmp_path, clock, check)
+        for _ in range(2):
+            play(output, clock)
+            output.collect()
+    assert kept == [False, True, False, True]
