@@ -108,7 +108,7 @@ def _read_columns(_kind: type, tokens: Sequence[Token]) -> tuple[str | int, ...]
 
 
 File = Annotated[Path, Parameter(converter=_read_path)]
-Number = Annotated[float, within(-MOST, MOST)]
+Number = Annotated[float, within(0, MOST)]
 Json = Annotated[bool, Parameter(name="--json", help="Print numbers as JSON.")]
 Out = Annotated[File | None, Parameter(name=["--out", "-o"], help="Folder of the results.")]
 Seed = Annotated[
