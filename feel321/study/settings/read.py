@@ -396,7 +396,7 @@ def _check_methods(settings: Settings) -> Iterator[str]:
 
 
 def _check_metrics(settings: Settings) -> Iterator[str]:
-    """Refuse further metrics that are none; that of a lab is not imported yet."""
+    """Refuse unknown names of further metrics; a lab's own is not imported yet."""
     further = [name for name in METRICS if name not in WRITTEN]
     for number, name in enumerate(settings.stimuli.metrics, start=1):
         if name in WRITTEN:
