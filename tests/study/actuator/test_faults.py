@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from feel321.study.actuator.faults import Diagnosis, find_resonance
+from feel321.study.actuator.faults import Diagnosis, find_resonance, find_sensor_fault
 from feel321.study.actuator.response import Sweep, make_sweep
 from tests.study.actuator.outside import (
     DIRECTIONS,
+    MADE,
     NAMES,
     RATE_HZ,
     Loop,
@@ -181,3 +182,25 @@ def test_coils_in_one_direction_are_judged_together() -> None:
     found.lag = None
     assert found.judge(sent, motion + noise) == ""
     assert found.judge(sent, 0.7 * motion + noise).startswith("all coils: gain -3.1 dB")
+
+
+@pytest.mark.parametrize("frequency_hz", [20.3, 35.7, 61.1, 120.9])
+@pytest.mark.parametrize("peak", [3.0, 20.0, 90.0])
+def test_the_crest_of_a_slow_quantised_wave_is_no_saturation(
+    frequency_hz: float, peak: float
+) -> None:
+    """As a clean input of 16 bits and 100 m/s² gives it: many equal samples at the top."""
+    step = 100 / 2**15
+    wave = peak * np.sin(2 * np.pi * frequency_hz * np.arange(RATE_HZ) / RATE_HZ)
+    noise = np.random.default_rng(2).uniform(-0.2, 0.2, (3, RATE_HZ)) * step
+    seen = np.round((wave + noise) / step) * step
+    assert find_sensor_fault(seen, full_scale_m_s2=100.0) == ""
+
+
+def test_a_certificate_is_not_valid_with_another_scale_of_the_sensor_but_without_a_sensor() -> None:
+    certificate, rig = certified("ordinary"), make_rig()
+    assert certificate.find_faults(rig, MADE) == []
+    assert certificate.find_faults(make_rig(sensor=None), MADE) == []
+    other = make_rig(sensor=rig.sensor.model_copy(update={"full_scale_m_s2": 100.0}))
+    (found,) = certificate.find_faults(other, MADE)
+    assert "another sensor, or another scale of it" in found
