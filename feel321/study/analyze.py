@@ -28,7 +28,7 @@ from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.freeze import make_standing
 from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
-from feel321.study.people import list_progress, note_estimates, note_given_up, write_roster
+from feel321.study.people import list_progress, list_remarks, write_roster
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import closing_results
 from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
@@ -138,16 +138,11 @@ def _derive_tables(
     _write_dictionary(study, settings)
     announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
-    notes = [
-        *further.notes,
-        *describe_matches(matched),
-        *note_estimates(everybody),
-        *note_given_up(everybody),
-    ]
+    notes = [*further.notes, *describe_matches(matched), *list_remarks(everybody)]
     if methods := [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]:
         said = "Reducers and metrics of the lab's own, with the SHA-256 of their code"
         notes.append(f"{said}: {', '.join(methods)}.")
-    day = max((one.rated_utc[:10] for one in everybody), default="")
+    day = max((one.last_rated[:10] for one in everybody), default="")
     return replace(further, notes=tuple(notes)), day
 
 

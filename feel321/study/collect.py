@@ -14,7 +14,7 @@ from feel321.doors import announce
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import people
-from feel321.study.auditing.journals import list_files
+from feel321.study.auditing.study import list_files
 from feel321.study.folder import require_study
 from feel321.study.numbers import find_doubles, hold_numbers, read_holder, read_holders
 from feel321.study.persons import withdrawal

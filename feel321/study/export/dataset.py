@@ -418,7 +418,7 @@ def _write_words(
         ],
     }
     if newest := find_newest(study):
-        about["SourceDatasets"] = [{"Version": f"checkpoint {newest}"}]
+        about["SourceDatasets"] = [{"Version": f"checkpoint {newest.id}"}]
     _write_json(folder / "dataset_description.json", about)
     _write(folder / ".bidsignore", f"/{METHODS_FILE}\n")
     simulated = sum(one.progress.simulated for one in people)

@@ -20,7 +20,7 @@ from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.study.actuator.certificate import list_certificates, read_certificate
 from feel321.study.freeze import read_frozen
 from feel321.study.numbers import read_holders
-from feel321.study.people import find_rig_use
+from feel321.study.people import list_progress
 from feel321.study.session.events import SessionBegun, SessionFinished, TrialRated
 from feel321.study.session.plan import TOMBSTONE_FILE
 from feel321.study.settings.read import make_design, read_settings
@@ -145,8 +145,7 @@ def render(name: str, **values: object) -> str:
 
 def find_used(study: StudyFolder) -> tuple[list[Certificate], set[str]]:
     """Find the certificates that sessions were held with, and the names of those that are not there."""
-    uses = [find_rig_use(one.plan.participant, one.records) for one in study.read_people()]
-    used = {one.calibration for one in uses if one.calibration}
+    used = {one.calibration for one in list_progress(study) if one.calibration}
     found = [read_certificate(path) for path in list_certificates(study.calibration)]
     known = [one for one in found if one.id in used]
     return known, used - {one.id for one in known}

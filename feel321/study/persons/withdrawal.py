@@ -28,7 +28,7 @@ from feel321.files import (
 )
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import people as progress
-from feel321.study.checkpoints import declaring, is_begun, note_checkpoint
+from feel321.study.checkpoints import declaring, find_newest, note_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import RELEASED, Holder, read_holder
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
@@ -69,7 +69,8 @@ def withdraw_participant(
     found = progress.read_tombstone(folder)
     is_over = found is not None and found.state == progress.REMOVED
     if found and is_over and not any((progress.find_leftovers(folder), *find_data_left(study))):
-        if is_begun(study, "withdraw", participant):  # killed before its last checkpoint
+        newest = find_newest(study, "withdraw", participant)
+        if newest and newest.begins:  # killed before its last checkpoint
             if problem := note_checkpoint(study, "withdraw", who=participant):
                 warn(problem)
         elif not removed:

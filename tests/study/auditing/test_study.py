@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.study.auditing.journals import audit_journals
-from feel321.study.auditing.study import audit_study, examine
+from feel321.study.auditing.study import audit_journals, audit_study, examine
 from feel321.study.folder import StudyFolder
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.journal import (
