@@ -78,8 +78,8 @@ def list_judgements(dossier: Dossier, stimuli: StimulusSet) -> list[dict[str, An
             own = sorted(_decode_judgements(header, plan, chain.records, path=path), key=_BY_TRIAL)
             for row in own:
                 others = {name: by_code.get(row[name]) for name in ("reference_id", "other_id")}
-                row |= {name: one.stimulus_id for name, one in others.items() if one}
-                row |= _describe_stimulus(by_code[row["stimulus_id"]])
+                row.update({name: one.stimulus_id for name, one in others.items() if one})
+                row.update(_describe_stimulus(by_code[row["stimulus_id"]]))
                 row["sensation_level_db"] = levels.get(row["stimulus_id"], "")
             rows += own
     return rows
