@@ -197,7 +197,8 @@ def _list_steps(
         half = (len(section) + 1) // 2 if len(sections) == 1 else len(section)
         yield from section[:half]
         if section[half:]:
-            yield from (*rest, *section[half:])
+            yield from rest
+            yield from section[half:]
     yield from list_pages(questions, "after")
     yield Page("end")
 
