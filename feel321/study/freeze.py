@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Any
 from feel321 import intake
 from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_versions
 from feel321.doors import name_of
+from feel321.study.numbers import read_holder
 from feel321.study.people import read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.journal import digest, list_journals
 from feel321.study.session.opening import FROZEN_FILE
-from feel321.study.session.plan import PLAN_FILE
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -244,10 +244,10 @@ def _list_sessions(
     """
     journals = []
     for folder in study.participants:
-        is_simulated = False  # one whose plan cannot be read counts as a person
-        with suppress(OSError, ValueError, KeyError, TypeError, RecursionError):
-            is_simulated = json.loads((folder / PLAN_FILE).read_bytes())["simulated"] is True
-        journals += [] if is_simulated else list_journals(folder)
+        holder = None  # one whose plan cannot be read counts as a person
+        with suppress(OSError, ValueError):
+            holder = read_holder(folder)
+        journals += [] if holder and holder.simulated else list_journals(folder)
     for path in journals:
         times, named = {mark: list[datetime]() for mark in _MARKS}, list[str]()
         lines = path.read_bytes().split(b"\n")

@@ -206,16 +206,27 @@ def _find_rig(records: Records) -> dict[str, Any]:
     for event in records.find(events.RigAccepted):
         rig, calibration = event.rig, event.calibration
         changes += event.changes
-    # When it plays does not count, what it plays does.
-    device = {**(rig or {}).get("device", {}), "latency_s": None}
-    played_by = [device, (rig or {}).get("actuators")]
     played = (one for one in records if one.event == events.PartPlayed.event)
     return {
-        "rig": digest(json.dumps(played_by, sort_keys=True))[:LETTERS] if rig else "",
+        "rig": _digest_rig(rig)[:LETTERS] if rig else "",
         "calibration": calibration["id"] if isinstance(calibration, dict) else calibration or "",
         "rig_changes": tuple(changes),
         "estimated": sum(one.data.get("dac_source") == ESTIMATED for one in played),
     }
+
+
+def _digest_rig(rig: Mapping[str, Any]) -> str:
+    """Make the digest that a certificate names, `actuator.rig.digest`, of a rig as a header holds it."""
+
+    def drop(entry: Any) -> Any:  # noqa: ANN401 - what JSON holds
+        if isinstance(entry, list):
+            return [drop(one) for one in entry]
+        known = entry.items() if isinstance(entry, dict) else ()
+        found = {key: drop(one) for key, one in known if one is not None and key != "latency_s"}
+        return found if isinstance(entry, dict) else entry
+
+    own = {name: rig.get(name) for name in ("device", "actuators")}
+    return digest(json.dumps(drop(own), sort_keys=True))
 
 
 def describe_rigs(everybody: Iterable[Progress]) -> Iterator[str]:

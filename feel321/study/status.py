@@ -29,6 +29,7 @@ from feel321.study.session.events import (
     TrialRated,
     find_notices,
 )
+from feel321.study.session.journal import Records
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.thresholds import find_warnings, read_thresholds
 
@@ -309,5 +310,6 @@ def find_flags(chain: Chain) -> Iterator[str]:
     if calls := list(chain.records.find(DeviceFailed)):
         yield f"experimenter called: {len(calls)} x"
         yield f"{CALLED_FOR}{calls[-1].reason}"
-    for said in find_notices(chain.records.find(PartPlayed)).values():
+    noticed = Records(record for record in chain.records if record.data.get("notice"))
+    for said in find_notices(noticed.find(PartPlayed)).values():
         yield f"{len(said)} x {said[0]}"

@@ -64,12 +64,9 @@ def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) 
             found.findings.append(text)
         there = {one.id for theirs in branches.values() for one in theirs}
         held += [f"{url} has those until {one.utc}" for one in history if one.id in there][-1:]
-        others = [
-            (branch == own.branch, theirs[-1].utc, theirs)
-            for branch, theirs in branches.items()
-            if _compare_branch(study, own, (branch, url, theirs), found=found, today=today)
-        ]
-        binding.append(max(others, default=(False, "", []), key=lambda one: one[:2])[-1])
+        said = [(branch, url, theirs) for branch, theirs in branches.items()]
+        contradict = [one for one in said if _compare_branch(study, own, one, found=found)]
+        binding += [max(contradict, key=lambda one: one[2][-1].utc)[2]] if contradict else []
     if expect and not any(one.id.startswith(expect) for one in history):
         text = f"has no checkpoint {expect}; if the id is right, the history was made anew or turned back"
         found.findings.append(f"{home}: {text}")
@@ -94,9 +91,11 @@ def _compare_branch(
     other: tuple[str, str, Sequence[Checkpoint]],
     *,
     found: Evidence,
-    today: Mapping[str, FileMark],
 ) -> bool:
-    """Compare the history here with a remote's; whether that one must hold of this folder, too."""
+    """Compare the history here with a remote's; whether that one must hold of this folder, too.
+
+    Another copy of the study may have gone on from a checkpoint that is here.
+    """
     home, known = study.path / EVIDENCE, {one.id for one in own.history}
     branch, url, theirs = other
     unknown = [one for one in theirs if one.id not in known]
@@ -117,12 +116,9 @@ def _compare_branch(
         text = f"lacks {len(unknown)} checkpoints of {said}; an old copy was restored, or it was made anew"
         remedy = "if a backup was restored, say so: feel321 seal --reason TEXT"
         found.findings.append(f"{home}: {text}; {remedy}")
-    elif unknown:
-        lost = ", ".join(checkpoints.list_lost(theirs[-1].marks, today))
-        more = f"; not here: {lost}" if lost else ""
-        found.remarks.append(f"{home}: another copy of this study went on as {said}{more}")
+    else:
         return False
-    return bool(unknown)
+    return True
 
 
 @dataclass(slots=True)

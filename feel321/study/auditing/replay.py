@@ -48,6 +48,7 @@ _AFTER: Mapping[str, tuple[type[events.SessionEvent], ...]] = {
 """The events that may follow at the start, and after each event that ends a session."""
 
 _REPAIRS = {kind.event for kind in events.REPAIRS}
+_OTHERS = {kind.event for kind in _ANY} - _REPAIRS
 _PLAYED = [one.name for one in fields(events.Played)]
 
 
@@ -120,13 +121,12 @@ class _Paper(Journal):
     def look(self) -> events.SessionEvent:
         """Look at what comes next, unless the session was broken off here."""
         while self.is_left:
-            event = self.truth[len(self.records)].content
-            if isinstance(event, events.REPAIRS):
-                self.take()
-            elif isinstance(event, _ANY):
+            record = self.truth[len(self.records)]
+            if record.event in _OTHERS:
                 break
-            else:
-                return event
+            if record.event not in _REPAIRS:
+                return record.content
+            self.take()
         raise _Over
 
     def write(
@@ -206,7 +206,7 @@ class _Tape:
         self._played.add(key)
         self._attempt.follow(told)
         known: dict[str, Any] = {name: getattr(told, name) for name in _PLAYED}
-        later = self._list_coming()
+        later = list(islice(self._list_coming(), 2))
         paused = later[1] if len(later) > 1 else None
         act = ports.Pause(paused.time_s) if isinstance(paused, events.TrialPaused) else None
         return ports.Playback(**known, act=act)
@@ -214,15 +214,13 @@ class _Tape:
     def prompt(self, part: Part) -> ports.Playback:
         return self.play(part)
 
-    def _list_coming(self) -> list[events.SessionEvent]:
+    def _list_coming(self) -> Iterator[events.SessionEvent]:
         """List the playbacks that come next, and what follows on them."""
-        coming: list[events.SessionEvent] = []
         for record in islice(self._paper.truth, len(self._paper.records), None):
             if record.event not in _REPAIRS:
-                coming.append(record.content)
-                if not isinstance(coming[-1], events.PartPlayed):
-                    break
-        return coming
+                yield record.content
+                if not isinstance(record.content, events.PartPlayed):
+                    return
 
     def wait(self, limit_s: float | None = None) -> ports.Act:
         act: ports.Act | None = None
@@ -249,7 +247,7 @@ class _Tape:
         if isinstance(told, events.PartReplayed):
             return ports.Feel(told.time_s, told.part)
         names = [part.name for part in self._attempt.trial.parts]
-        coming = [one.part for one in self._list_coming() if isinstance(one, events.PartPlayed)]
+        coming = (one.part for one in self._list_coming() if isinstance(one, events.PartPlayed))
         pairs = takewhile(lambda pair: pair[0] == pair[1], zip(coming, names, strict=False))
         unfelt = self._attempt.list_unfelt()
         is_all = any(name not in unfelt for name, _ in pairs)

@@ -19,7 +19,7 @@ from feel321.files import digest_file
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study.auditing.evidence import Evidence, weigh
 from feel321.study.auditing.replay import MALFORMED, audit_steps
-from feel321.study.auditing.tables import Tables, audit_inputs
+from feel321.study.auditing.tables import Tables
 from feel321.study.findings import Audit
 from feel321.study.folder import DELIVERED, name_delivered
 from feel321.study.freeze import describe_frozen, find_faults
@@ -65,7 +65,7 @@ def examine(
     findings += [*find_doubles(holders), *_guard(study.path, find_data_left(study))]
     wrong, older = tables.compare()
     evidence = Evidence() if study.is_rehearsal else weigh(study, expect=expect, remotes=remotes)
-    remarks = [*evidence.remarks, *older, *audit_inputs(study), *describe_rigs(tables.people)]
+    remarks = [*evidence.remarks, *older, *describe_rigs(tables.people)]
     remarks += [*_guard(study.path, list_stale(study)), *filter(None, [describe_frozen(study)])]
     every = dict.fromkeys([*findings, *wrong, *evidence.findings, *find_faults(study)])
     return Audit(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)

@@ -1,4 +1,4 @@
-"""The tables that are derived from the journals, against the journals, and whether the report was made of them.
+"""The tables that are derived from the journals, against the journals.
 
 A table may be older than the journals: it lacks what was recorded since, and nothing else. What it holds must be what
 the journals say, row by row.
@@ -7,7 +7,6 @@ the journals say, row by row.
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections import defaultdict
 from collections.abc import Mapping
@@ -15,14 +14,14 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any
 
 from feel321 import intake
-from feel321.files import digest_file, list_csv
+from feel321.files import list_csv
 from feel321.study.folder import RATING_COLUMNS
 from feel321.study.people import ROSTER_FILE, Progress, list_roster, make_progress
 from feel321.study.persons import answers
 from feel321.study.ratings import MATCH_COLUMNS, MATCHES_FILE, list_judgements, list_matches
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
@@ -71,8 +70,8 @@ class Tables:
             columns |= {answers.ANSWERS_FILE: [*answers.COLUMNS]}
         for name, own in {} if self._study.is_rehearsal else columns.items():
             path = self._study.path / name
-            derived = [*list_csv(own, self._rows[name])]
-            if not path.is_file() or path.read_bytes() == "".join(derived).encode():
+            derived = [*list_csv(own, self._rows[name])] if path.is_file() else []
+            if not derived or path.read_bytes() == "".join(derived).encode():
                 continue
             try:
                 with intake.open_text(path) as file:
@@ -156,17 +155,3 @@ def _find_amid(missing: Sequence[Row], present: Sequence[Row]) -> list[Row]:
         if math.isfinite(onset):
             last[session] = max(last[session], onset)
     return [row for row in missing if place(row)[1] < last[place(row)[0]]]
-
-
-def audit_inputs(study: StudyFolder) -> Iterator[str]:
-    """Find which files that the report was made of are other ones now."""
-    path = study.report / "results.json"
-    try:
-        inputs = json.loads(intake.read_bytes(path))["inputs"]
-        made = {inputs[role]: inputs[f"{role}_sha256"] for role in ("ratings", "manifest")}
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return
-    for own in (study.ratings, study.manifest):
-        if own.is_file() and made.get(own.name, "") not in {"", digest_file(own)}:
-            text = f"was computed from another {own.name} than the one here"
-            yield f"{path}: {text}; compute it anew: feel321 analyze"
