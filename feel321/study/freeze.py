@@ -1,4 +1,4 @@
-"""`frozen.json`: what was decided before ratings were seen, and when; compared with today's settings one by one.
+"""`frozen.json`: what was decided before the first session of a person; compared with today's settings one by one.
 
 Parsed settings are compared, never the file's text: a comment, the order of keys or a default that is written out
 changes nothing. Recordings count by their names and contents, methods of the lab's own by their names and code,
@@ -15,7 +15,6 @@ import json
 import re
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from datetime import UTC, datetime
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
@@ -56,34 +55,27 @@ MOST = 3
 
 @dataclass(frozen=True, slots=True)
 class Frozen:
-    """What was frozen; former: digests of the states that it replaced, sha256: of itself."""
+    """What was frozen; sha256: of itself."""
 
     utc: str
     settings: Mapping[str, Any]
     hypotheses: tuple[Hypothesis, ...]
-    former: tuple[str, ...] = ()
     sha256: str = field(default="", compare=False)
-
-    @property
-    def amended(self) -> str:
-        """How often it replaced another one, for a sentence."""
-        times = len(self.former)
-        return f"amended {times} time{'s' * (times > 1)}" if times else ""
 
 
 def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, str]]:
-    """Write `frozen.json`, before the first rating of a person; return what it holds and what differs from before."""
+    """Write `frozen.json`, before the first session of a person; return what it holds and what differs from before."""
     from feel321.study.sessions import require_current_set
     from feel321.study.settings.read import read_settings
 
     former, settings = read_frozen(study), read_settings(study.settings)
-    rated = [path.split("/")[1] for path, *_, rated in _list_sessions(study) if rated]
+    begun = [path.split("/")[1] for path, _ in _list_sessions(study)]
     if study.ratings.is_file():  # where the journals are gone
         with intake.open_text(study.ratings) as file:
             rows = csv.DictReader(file)
-            rated += [row["participant"] for row in rows if row.get("simulated") == "false"]
-    if rated:
-        text = f"{rated[0]} has rated already, so it is too late to freeze; all results stay exploratory"
+            begun += [row["participant"] for row in rows if row.get("simulated") == "false"]
+    if begun:
+        text = f"{begun[0]} has begun already, so it is too late to freeze; all results stay exploratory"
         raise ValueError(f"{study.path}: {text}")
     if not study.manifest.is_file():
         raise FileNotFoundError(
@@ -92,12 +84,10 @@ def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, s
         )
     require_current_set(study, settings)
     named = list_settings(study, settings)
+    changes = find_changes(former.settings, named) if former else {}
+    if former and not changes:
+        return former, {}
     own = Frozen(now().isoformat(timespec="seconds"), named, tuple(_list_hypotheses(settings)))
-    changes: dict[str, str] = {}
-    if former is not None:
-        if not (changes := find_changes(former.settings, named)):
-            return former, {}
-        own = replace(own, former=(*former.former, former.sha256))
     entry = {name: value for name, value in asdict(own).items() if name != "sha256"}
     return replace(own, sha256=write_sealed(study.path / FROZEN_FILE, entry)), changes
 
@@ -108,8 +98,7 @@ def read_frozen(study: StudyFolder) -> Frozen | None:
     def make(entry: dict[str, Any]) -> Frozen:
         sha256 = digest(json.dumps(entry, sort_keys=True))
         hypotheses = tuple(Hypothesis(**one) for one in entry.pop("hypotheses"))
-        former = tuple(entry.pop("former"))
-        return Frozen(**entry, hypotheses=hypotheses, former=former, sha256=sha256)
+        return Frozen(**entry, hypotheses=hypotheses, sha256=sha256)
 
     return read_sealed(study.path / FROZEN_FILE, make)
 
@@ -202,62 +191,48 @@ def describe_frozen(study: StudyFolder) -> str:
         frozen = read_frozen(study)
     except ValueError:
         return f"frozen: {FROZEN_FILE} cannot be trusted (feel321 audit)"
-    if frozen is None:
-        return ""
-    when = f"frozen: {frozen.utc[:16].replace('T', ' ')} UTC, before any rating"
-    return ", ".join(filter(None, [when, frozen.amended]))
+    when = frozen.utc[:16].replace("T", " ") if frozen else ""
+    return f"frozen: {when} UTC, before any session" if when else ""
 
 
 def find_faults(study: StudyFolder) -> list[str]:
-    """Find reasons to distrust the frozen file: edits, and times that do not agree with the journals."""
+    """Find reasons to distrust the frozen file: edits, and sessions whose headers name another one, or none."""
+    home = study.path / FROZEN_FILE
     try:
-        faults = list(_list_faults(study, read_frozen(study)))
+        frozen = read_frozen(study)
     except ValueError as error:
         return [str(error)]
-    return [f"{study.path / FROZEN_FILE}: {one}" for one in faults]
+    faults = []
+    for path, named in _list_sessions(study):
+        if frozen is None and named:
+            faults.append(
+                f"is not there, though {path} names it in its header; restore it from a copy"
+            )
+        elif frozen and not named:
+            faults.append(
+                f"is newer than the session of {path}, whose header knows of no frozen file"
+            )
+        elif frozen and named != frozen.sha256:
+            faults.append(f"is not the one that {path} names in its header; restore that one")
+    return [f"{home}: {one}" for one in faults]
 
 
-def _list_faults(study: StudyFolder, frozen: Frozen | None) -> Iterator[str]:
-    sessions = list(_list_sessions(study))
-    if frozen is None:
-        if path := next((path for path, named, *_ in sessions if named), ""):
-            yield f"is not there, though {path} names it in its header; restore it from a copy"
-        return
-    when, known = datetime.fromisoformat(frozen.utc), {frozen.sha256, *frozen.former}
-    first = min((utc for *_, rated in sessions for utc in rated), default=when)
-    if first < when:
-        when_rated = first.astimezone(UTC).isoformat()
-        yield f"says that it was frozen before any rating, on {frozen.utc}, but a person had rated by {when_rated}"
-    for path, named, begun, _ in sessions:
-        if not known.issuperset(named):
-            yield f"is not the one that {path} names in its header; restore the former file"
-        elif not named and any(utc > when for utc in begun):
-            yield f"says that it was written before the session of {path}, whose header knows of no frozen file"
+def _list_sessions(study: StudyFolder) -> Iterator[tuple[str, str]]:
+    """List the journals of people, each with the digest of the frozen file that its header names.
 
-
-def _list_sessions(
-    study: StudyFolder,
-) -> Iterator[tuple[str, list[str], list[datetime], list[datetime]]]:
-    """List the journals of people: frozen files that are named, when begun, when rated.
-
-    Lines are looked at one by one: what is damaged is found by the audit, and must hide no rating.
+    Lines are looked at by themselves: what is damaged is found by the audit, and must hide no session.
     """
-    journals = []
     for folder in study.participants:
         holder = None  # one whose plan cannot be read counts as a person
         with suppress(OSError, ValueError):
             holder = read_holder(folder)
-        journals += [] if holder and holder.simulated else list_journals(folder)
-    for path in journals:
-        times, named = {mark: list[datetime]() for mark in _MARKS}, list[str]()
-        lines = path.read_bytes().split(b"\n")
-        for mark, line in ((mark, line) for mark in _MARKS for line in lines if mark in line):
+        for path in () if holder and holder.simulated else list_journals(folder):
+            content, named = path.read_bytes() if path.is_file() else b"", ""
+            line = next((one for one in content.split(b"\n") if _MARKS[0] in one), b"{}")
             with suppress(ValueError, KeyError, TypeError, AttributeError, RecursionError):
-                entry = json.loads(line)
-                named += filter(None, [entry["data"].get("frozen")])
-                times[mark].append(datetime.fromisoformat(entry["utc"]).astimezone(UTC))
-        begun, rated = times.values()
-        yield path.relative_to(study.path).as_posix(), named, begun, rated
+                named = str(json.loads(line)["data"].get("frozen", ""))
+            if any(mark in content for mark in _MARKS):
+                yield path.relative_to(study.path).as_posix(), named
 
 
 # What it makes of an analysis.
@@ -299,13 +274,13 @@ def make_standing(
     changes = list_changes(study, asked, frozen)
     aside = [text for name, text in changes.items() if name.startswith(ASIDE)]
     weighty = [text for name, text in changes.items() if not name.startswith(ASIDE)]
-    when = f"on {frozen.utc[:10]}" + (f" ({frozen.amended})" if frozen.former else "")
+    when = f"on {frozen.utc[:10]}"
     count = len(frozen.hypotheses)
     slopes = "the declared slope is" if count == 1 else f"the {count} declared slopes are"
     reason, first = (
         "",
         (
-            f"Hypotheses and analysis were frozen {when}, before any person rated: {slopes} confirmatory, all else is "
+            f"Hypotheses and analysis were frozen {when}, before anybody came: {slopes} confirmatory, all else is "
             "exploratory."
         ),
     )

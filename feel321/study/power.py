@@ -208,7 +208,7 @@ def _list_notes(rated: Sequence[Part], slopes: DataFrame, share: int) -> list[st
         )
     return [
         *notes,
-        "Before the first rating, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
+        "Before the first session, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
         "told apart into confirmatory and exploratory ones.",
     ]
 

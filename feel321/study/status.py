@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import groupby
-from math import lcm, prod
 from typing import TYPE_CHECKING
 
 from feel321.doors import announce
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
 from feel321.protocols.order import TASK_ORDERS, measure_balance
-from feel321.protocols.tasks import count_rows, find_other, is_as_expected
+from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import minutes
@@ -44,9 +43,6 @@ if TYPE_CHECKING:
 
     Known = dict[Path, tuple[Dossier, Progress, list[Trial]]]
 
-SESSION, TASKS = "session", "tasks"
-"""What is put in order where tasks are counterbalanced."""
-
 CALLED = "called"
 """State of a session whose device failed until the experimenter comes."""
 
@@ -59,11 +55,10 @@ CALLED_FOR = "last called for: "
 
 @dataclass(frozen=True, slots=True)
 class Evenness:
-    """How often conditions of one task met positions, and each other; cycle: participants of a full cycle."""
+    """How often conditions of one task met positions, and each other: the least and the most."""
 
     task: str
     what: str
-    cycle: int
     positions: tuple[int, int]
     carry_over: tuple[int, int]
 
@@ -90,50 +85,34 @@ def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> Balanc
     for dossier, trials in run:
         for task, what, among, conditions in _split(dossier.plan, trials):
             groups[task, what][among].append(conditions)
-    # Successive participants belong to successive groups, and each group has its own cycle.
-    plans = [dossier.plan for dossier, _ in run]
-    cycles = max(prod(map(len, plan.between.values())) for plan in plans)
-    # Shares of the recordings have none: who comes a full cycle later feels other recordings.
-    whole = [plan for plan in plans if plan.recordings_per_participant is None]
-    of_trials = cycles * any(plan.order == "williams" for plan in whole)
-    evenness = []
-    for (task, what), sequences in groups.items():
-        round_of = lcm(*(count_rows(len(among)) for among in sequences))
-        cycle = (cycles if what == TASKS else of_trials) * round_of
-        evenness.append(Evenness(task, what, cycle, *measure_balance(sequences.values())))
+    evenness = [
+        Evenness(task, what, *measure_balance(sequences.values()))
+        for (task, what), sequences in groups.items()
+    ]
     over = [one.records for one, _ in run if one.records.has(SessionFinished)]
     finished = sum(not records.has(SessionReleased) for records in over)
     return BalanceAsRun(simulated, len(run), finished, tuple(evenness))
 
 
 def describe_balance(realised: BalanceAsRun | None) -> list[str]:
-    """Describe the balance of a study so far.
-
-    Examples
-    --------
-    >>> evenness = Evenness("abx", "stimuli", 6, (0, 1), (0, 2))
-    >>> describe_balance(BalanceAsRun(False, 4, 4, (evenness,)))[1]
-    '  abx, stimuli: 0 to 1 at each position, 0 to 2 after each other; even over 6, 2 to go'
-    """
+    """Describe the balance of a study so far."""
     if realised is None:
         return ["balance: no trial was run yet"]
     lines = [f"balance: {realised.finished} finished{' (simulated)' if realised.simulated else ''}"]
     for one in realised.evenness:
         places, neighbours = ("{} to {}".format(*ends) for ends in (one.positions, one.carry_over))
-        left = -realised.finished % one.cycle if one.cycle else 0
-        circle = f"; even over {one.cycle}, {left} to go" if one.cycle else ""
         counts = f"{places} at each position, {neighbours} after each other"
-        lines.append(f"  {one.task}, {one.what}: {counts}{circle}")
+        lines.append(f"  {one.task}, {one.what}: {counts}")
     return lines
 
 
 def _split(
     plan: Plan, trials: Sequence[Trial]
 ) -> Iterator[tuple[str, str, tuple[str, ...], list[str]]]:
-    """Yield task (or `SESSION`), what was put in order, among which, and the order that it was run in."""
+    """Yield task (or `session`), what was put in order, among which, and the order that it was run in."""
     if plan.task_order != TASK_ORDERS[0] and len(plan.tasks) > 1:
         among = tuple(sorted(task.protocol for task in plan.tasks))
-        yield SESSION, TASKS, among, list(dict.fromkeys(trial.protocol for trial in trials))
+        yield "session", "tasks", among, list(dict.fromkeys(trial.protocol for trial in trials))
     planned = _gather_blocks(trial for trial in plan.trials if trial.phase == "main")
     run = _gather_blocks(trials)
     for block, own in run.items():
