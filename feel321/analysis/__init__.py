@@ -14,10 +14,6 @@ from feel321.doors import list_imports as _list_imports
 
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
-    from feel321.analysis.association.classic import (
-        compare_dependent,
-        repeated_measures_correlation,
-    )
     from feel321.analysis.association.correlate import (
         compare_metrics,
         correlate,
@@ -47,7 +43,7 @@ if _TYPE_CHECKING:
     from feel321.analysis.screening.rules import RULES
     from feel321.analysis.screening.screen import screen_raters
     from feel321.analysis.space import fit_space
-    from feel321.analysis.standard import p1401
+    from feel321.analysis.standard import compare_dependent, p1401, repeated_measures_correlation
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.reading import read_table
     from feel321.analysis.tradeoff.measure import measure_tradeoff

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.model import Solved, list_spreads, report_fit, solve_design
+from feel321.analysis.mixed.model import Solved, report_fit, solve_design
 from feel321.analysis.primary import rcode
 from feel321.analysis.primary.plan import (
     ALIKE,
@@ -447,7 +447,7 @@ def _explain_items(found: Slopes) -> tuple[float, list[str]]:
 
 def _add_item_variances(solved: Solved) -> float:
     """Add up what makes stimuli of a recording differ, for everyone: stimuli, reducers, and what a source shares."""
-    spreads = list_spreads(solved.profile, solved.best)
+    spreads = solved.list_spreads()
     return float(sum(part[0, 0] for group, _, part in spreads if group in {ITEM, REDUCER, ALIKE}))
 
 

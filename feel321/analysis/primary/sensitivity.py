@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.arrays import read_numbers
-from feel321.analysis.mixed.model import Solved, note_zeros
 from feel321.analysis.primary.model import IN_MODEL, Primary, Slopes, adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import (
     ITEM,
@@ -37,6 +36,7 @@ from feel321.analysis.table.schema import HIGHEST
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.mixed.model import Solved
     from feel321.types import Samples
 
 
@@ -79,7 +79,7 @@ class Variant(NamedTuple):
             columns = [*ESTIMATED, *STANDARDISED, "tenth", "tenth_low", "tenth_high"]
             empty = pd.DataFrame(np.nan, index=pd.Index(metrics, name="metric"), columns=columns)
             return Fitted(empty, singular=False, reason=str(error))
-        singular, lacks = bool(note_zeros(found.solved)), " ".join(found.terms.reductions)
+        singular, lacks = bool(found.solved.note_zeros()), " ".join(found.terms.reductions)
         return Fitted(found.table.reindex(list(found.cells.metrics)), singular, lacks, found)
 
 
