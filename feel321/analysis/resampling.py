@@ -208,7 +208,7 @@ class Averages(NamedTuple):
     def correlate(
         self, items: Items, how: CorrelationMethod, *, counts: Sequence[Values]
     ) -> list[Values]:
-        """Correlate with every metric, (n_metrics, draws); counts: ways of counting recordings, (draws, n_recordings)."""
+        """Correlate with every metric, (n_metrics, draws); counts: ways of counting recordings, (draws, n)."""
         if how.within:
             parts = [self.correlate_recordings(items, metric, how) for metric in items.metrics]
             return [
