@@ -131,20 +131,16 @@ def fit_mixed(
 
     Notes
     -----
-    Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). Use it where
-    observations share people, recordings or stimuli; a person's slope belongs into the brackets whenever the
-    claim is about people in general (without, its standard error is several times too small). Do not use it
-    for grouping factors of two or three levels if their spread is the question, nor for ratings piled up at
-    the ends of the scale.
+    Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). A person's slope
+    belongs into the brackets whenever the claim is about people in general. Do not use it for grouping factors of two
+    or three levels if their spread is the question, nor for ratings piled up at the ends of the scale.
 
     The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope;
     degrees of freedom are Satterthwaite's, as in lmerTest. With few levels a spread is often estimated as zero when it
-    is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance,
-    which is the mode under a gamma(2, λ) prior with λ -> 0 (Chung et al. 2013). It enters the degrees of freedom too,
-    not the criterion. A spread of zero (a singular fit) is normal in
+    is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance (Chung et al.
+    2013). It enters the degrees of freedom too, not the criterion. A spread of zero (a singular fit) is normal in
     small studies: it stays in the model as zero, and the notes say so. R² is Nakagawa's and Schielzeth's with
-    Johnson's extension to slopes: the fixed predictions' variance, plus the mean over rows of the random
-    effects' variance, plus s².
+    Johnson's extension to slopes.
 
     References
     ----------
@@ -312,8 +308,7 @@ def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Statistic:
 
     Notes
     -----
-    The same as lmerTest's ``contest1D``: the covariance of the effects is accounted for, and the degrees of
-    freedom are those of the contrast, not of either effect.
+    The same as lmerTest's ``contest1D``: the degrees of freedom are those of the contrast, not of either effect.
 
     Examples
     --------

@@ -257,13 +257,7 @@ def describe_plan(plan: PowerPlan, *, share: int = 1, size: float = 1.0, per: st
 
 
 def format_power(power: float) -> str:
-    """Write a power without claiming certainty.
-
-    Examples
-    --------
-    >>> format_power(0.812), format_power(0.998), format_power(0.004), format_power(float("nan"))
-    ('0.81', '> 0.99', '< 0.01', 'not estimable')
-    """
+    """Write a power without claiming certainty."""
     if not math.isfinite(power):
         return "not estimable"
     if power > SURE:
@@ -335,16 +329,14 @@ def plan_power(  # noqa: PLR0913 - what varies, for what; how many studies, who 
 
     Notes
     -----
-    Closed form: standard errors of generalised least squares with the planted spreads, Welch's and Satterthwaite's
-    degrees of freedom, the noncentral t distribution at the level of Holm's first step. Simulation: studies are drawn,
-    fitted as `fit_primary` fits them, and tested by Holm's method over attributes x metrics.
+    Closed form: generalised least squares with the planted spreads, the noncentral t distribution at the level of
+    Holm's first step. Simulation: studies are drawn, fitted as `fit_primary` fits them, and tested by Holm's method.
 
-    For every combination of recordings, reducers and repeats that is tried, the smallest number of participants that
-    is enough in closed form is added to the table (``kind`` is smallest). The recommended design changes as few of
-    recordings, reducers and repeats as is needed, then takes the fewest trials of all participants together; where
-    numbers of participants are named, it has one of these. It is simulated: where the simulation refutes it (its whole
-    interval lies below the wanted power, or fewer than 90 % of the studies give a test), the next one is simulated that
-    detects a slope at least a fifth smaller, or where there is none the one that detects the smallest; up to 8 of them.
+    For every combination of recordings, reducers and repeats, the smallest number of participants that is enough in
+    closed form is added to the table. The recommended design changes as few of recordings, reducers and repeats as is
+    needed, then takes the fewest trials of all participants together; where numbers of participants are named, it has
+    one of these. Where its simulation refutes it, the next one is simulated that detects a slope at least a fifth
+    smaller, or where there is none the one that detects the smallest; up to 8 of them.
 
     Examples
     --------

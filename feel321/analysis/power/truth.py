@@ -209,10 +209,8 @@ class Truth:
     Notes
     -----
     The defaults are rounded estimates of the primary model on ratings of 70 videos by 26 people (Netflix Public, 0 to
-    100): people 7.7, recordings 4.7, stimuli 7.2, reducers 5.2, people x recordings 5.2, people x reducers 1.6, slopes
-    3.1 and 0 points per standard deviation of the metric, single ratings 14.9. The last holds what one person thinks of
-    one stimulus, for nothing was rated twice; how it is divided here is an assumption. Give those of vibrations as soon
-    as there are some: `Truth.from_fit`.
+    100). Nothing was rated twice: how single ratings (14.9 points) divide into `person_item_sd` and `rating_sd` is an
+    assumption. Give those of vibrations as soon as there are some: `Truth.from_fit`.
 
     Examples
     --------
@@ -283,9 +281,8 @@ class Truth:
 
         Notes
         -----
-        The residual of a model of means holds what a person thinks of a stimulus, and the part of what repeats differ
-        by that averaging leaves. `rating_sd` among the changes separates them; where it is not given, all of the
-        residual is taken for the first, which no repeat makes smaller.
+        The residual of a model of means holds what a person thinks of a stimulus, and what averaging leaves of repeats.
+        `rating_sd` among the changes separates them; without it, all is taken for the first.
         """
         if unknown := set(changes) - set(cls.__dataclass_fields__):
             raise ValueError(f"changes must be fields of a Truth, got {sorted(unknown)[0]!r}")
