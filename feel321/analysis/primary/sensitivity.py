@@ -146,9 +146,9 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
 
     Variants: people's slopes correlated; no terms for reducers; no level; each rater's ratings standardised, which
     takes out how much of the scale they use; ratings as logits of (y (n - 1) + 1/2) / n, y = rating / top and n their
-    number (Smithson & Verkuilen 2006, doi 10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's ends. Only
-    standardised slopes compare across units. Where rows have them: the metrics of what was delivered; the rig as a
-    factor (mean ratings of each rig and recording taken out); without the people on each rig.
+    number (Smithson & Verkuilen 2006, doi 10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's
+    ends. Only standardised slopes compare across units. Where rows have them: the metrics of what was delivered; the
+    rig as a factor (mean ratings of each rig and recording taken out); without the people on each rig.
     """
     rows, notes = select_rows(rows)
     ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
