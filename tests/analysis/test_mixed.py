@@ -293,6 +293,14 @@ def test_formula_refused(formula: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_column_may_be_called_anything() -> None:
+    data = make_study(1)
+    named = data.rename(columns={"a": "m(x)|z + 1", "who": "a person"})
+    found = fit_mixed("y ~ `m(x)|z + 1` + (1 + `m(x)|z + 1` || `a person`)", named)
+    plain = fit_mixed("y ~ a + (1 + a || who)", data)
+    assert found.fixed["estimate"].tolist() == pytest.approx(plain.fixed["estimate"].tolist())
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
