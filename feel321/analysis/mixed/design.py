@@ -221,7 +221,7 @@ def _settle_types(data: DataFrame) -> DataFrame:
 def _split_effects(effects: str, formula: str, data: DataFrame) -> list[str]:
     """Write a double bar out as lme4 does: term by term, so that the levels of one category stay together."""
     if re.fullmatch(rf"1( \+ {NAME})*", effects):
-        return ["1", *(f"0 + {name}" for name in effects.split(" + ")[1:])]
+        return ["1", *(f"0 + {name}" for name in re.findall(NAME, effects[1:]))]
     from formulaic import Formula
     from formulaic.errors import FormulaicError
 
