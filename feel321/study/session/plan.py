@@ -12,7 +12,7 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -134,18 +134,6 @@ class Plan:
         return f"Plan(participant={self.participant!r}, number={self.number}, {len(self.trials)} trials)"
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
-    """The trials and questions of a participant, and the groups and tasks that they follow from."""
-
-    groups: Mapping[str, str]
-    tasks: tuple[Task, ...]
-    trials: tuple[Trial, ...]
-    threshold: ThresholdBlock | None
-    matching: MatchingBlock | None
-    questions: tuple[Question, ...] = ()
-
-
 def make_plan(
     design: Design, stimuli: StimulusSet, participant: str, *, number: int, simulated: bool
 ) -> Plan:
@@ -154,17 +142,14 @@ def make_plan(
         raise ValueError(f"participant must be letters, digits, - and _, got {participant!r}")
     by_code = list_by_code(stimuli, seed=design.seed).items()
     items = [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code]
-    own = make_trials(design, items, number=number)
-    methods = find_methods(stimuli.folder) | digest_protocols(task.protocol for task in own.tasks)
-    decided: dict[str, Any] = {
-        one.name: getattr(entry, one.name) for entry in (design, own) for one in fields(entry)
-    }
-    decided |= {"stimuli_sha256": stimuli.sha256, "methods": methods}
-    return Plan(participant, number, simulated=simulated, **decided)
+    plan = make_trials(design, items, number=number)
+    methods = find_methods(stimuli.folder) | digest_protocols(task.protocol for task in plan.tasks)
+    plan = replace(plan, participant=participant, simulated=simulated, methods=methods)
+    return replace(plan, stimuli_sha256=stimuli.sha256)
 
 
-def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Course:
-    """Make the trials of participant `number` (from 1)."""
+def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Plan:
+    """Make the trials of participant `number` (from 1): a plan of nobody."""
     import numpy as np
 
     seed = design.seed
@@ -186,7 +171,10 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
         trials += blocks.make_block(block, first_number=len(trials) + 1)
     first, key = len(trials) + 1, [seed, number, len(trials)]
     matching, last = blocks.draw_matching(design.matching, items, first_number=first, key=key)
-    return Course(groups, tasks, (*trials, *last), block, matching, design.questions)
+    decided: dict[str, Any] = {one.name: getattr(design, one.name) for one in fields(design)}
+    decided |= {"tasks": tasks, "threshold": block, "matching": matching, "groups": groups}
+    decided |= {"trials": (*trials, *last), "simulated": False, "stimuli_sha256": ""}
+    return Plan("", number, **decided)
 
 
 # The stored plan.
