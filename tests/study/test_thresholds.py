@@ -13,7 +13,13 @@ import numpy as np
 import pytest
 
 from feel321.protocols.tasks import make_task
-from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdBlock, estimate_threshold
+from feel321.protocols.threshold import (
+    PROCEDURES,
+    USUAL,
+    Procedure,
+    ThresholdBlock,
+    estimate_threshold,
+)
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold, sensation_level_db
@@ -23,14 +29,19 @@ from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import ROSTER_FILE
 from feel321.study.ratings import write_ratings
-from feel321.study.sensation import LOW_RATE_HZ, find_shift
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import read_journal
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Design, Stale, create_plan, make_plan, require_plan
 from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
-from feel321.study.thresholds import find_warnings, is_usable, read_thresholds
+from feel321.study.thresholds import (
+    LOW_RATE_HZ,
+    find_shift,
+    find_warnings,
+    is_usable,
+    read_thresholds,
+)
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
@@ -189,7 +200,7 @@ def test_one_frequency_shifts_the_level_of_every_stimulus_alike(tmp_path: Path) 
 
 def make_estimate(threshold_db: float, **changes: Any) -> Any:
     """An estimate, narrow, of a participant who guessed in half of the catch trials."""
-    plain = estimate_threshold(PROCEDURES["bayesian"](USUAL))
+    plain = estimate_threshold(Procedure("bayesian", USUAL))
     usual = {
         "threshold_db": threshold_db,
         "threshold_low_db": threshold_db - 3,
