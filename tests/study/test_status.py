@@ -11,7 +11,8 @@ from filelock import FileLock
 
 from feel321.files import hold_lock, is_held
 from feel321.study.folder import StudyFolder
-from feel321.study.session.journal import require_journal
+from feel321.study.session.events import SessionReleased
+from feel321.study.session.journal import read_journal, require_journal, write_line
 from feel321.study.session.plan import make_plan
 from feel321.study.session.ports import Confirm, Playback
 from feel321.study.status import describe_balance, read_status
@@ -65,7 +66,7 @@ def test_states_follow_the_journal(present: Present, scripted: type, tmp_path: P
         pass
     require_journal(
         folder / "session-01.jsonl", now=lambda: datetime(2027, 1, 1, tzinfo=UTC)
-    ).write("released", {})
+    ).write(SessionReleased())
     assert [entry.state for entry in read_status(study).participants] == ["released"]
     (folder / "session-01.jsonl").unlink()
     assert [entry.state for entry in read_status(study).participants] == ["claimed"]
@@ -112,20 +113,18 @@ def test_trials_that_were_given_up_are_counted_apart(
 
 
 def test_records_of_another_make_are_the_problem_of_their_participant(
-    present: Present,
-    scripted: type,
-    design: Design,
-    stimuli: StimulusSet,
-    tmp_path: Path,
-    now: Callable[[], datetime],
+    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
     for number, name in enumerate(("p01", "p02"), start=1):
         plan = make_plan(design, stimuli, name, number=number, simulated=True)
         with pytest.raises(KeyboardInterrupt):
             present(scripted(stop_after=number), plan=plan)
-    require_journal(tmp_path / "sessions" / "p01" / "session-01.jsonl", now=now).write(
-        "rated", {"trial": 2}
+    path = tmp_path / "sessions" / "p01" / "session-01.jsonl"
+    chain = read_journal(path)
+    forged = replace(
+        chain.records[-1], sequence=len(chain.records), event="rated", data={"trial": 2}
     )
+    path.write_bytes(path.read_bytes() + write_line(forged, chain.tip))
     broken, fine = read_status(StudyFolder(tmp_path)).participants
     assert broken.problem.startswith(
         f"{tmp_path / 'sessions' / 'p01' / 'session-01.jsonl'}, line 10: is not a 'rated' record"

@@ -129,13 +129,9 @@ class _Paper(Journal):
             self.take()
         raise _Over
 
-    def write(
-        self, event: events.SessionEvent | str, data: Mapping[str, Any] | None = None
-    ) -> None:
+    def write(self, event: events.SessionEvent) -> None:
         """Compare what the engine writes with what stands there."""
         told = self.look()
-        if isinstance(event, str) or data:
-            raise TypeError(f"must be an event, got {event!r}")
         if type(told) is not type(event):
             due = repr(event.event)
             if isinstance(event, events.ActRefused):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.cli import main
+from feel321.study.session import events
 from feel321.study.session import journal as journals
 from feel321.study.session.plan import PLAN_FILE, require_plan
 from feel321.study.watch import Watch
@@ -143,7 +144,7 @@ def add(study: StudyFolder, event: str, **data: Any) -> None:
     journal = journals.require_journal(
         study.sessions / "sim001" / "session-01.jsonl", now=lambda: NOON
     )
-    journal.write(event, data)
+    journal.write(events.find_kind(event)(**data))
 
 
 def test_free_words_are_not_shown_and_who_is_called_for_stands_first(copied: StudyFolder) -> None:
