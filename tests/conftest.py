@@ -14,7 +14,7 @@ from hypothesis import settings
 from feel321.protocols.tasks import PROTOCOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 settings.register_profile("feel321", deadline=None, max_examples=25)
 settings.register_profile("soak", deadline=None)
@@ -99,6 +99,9 @@ def shared_recordings() -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _feel321s_protocols_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def _feel321s_protocols_only() -> Iterator[None]:
     """Take out protocols of a lab's own after each test."""
-    monkeypatch.setattr(PROTOCOLS, "_entries", dict(PROTOCOLS))
+    ours = dict(PROTOCOLS)
+    yield
+    PROTOCOLS.clear()
+    PROTOCOLS.update(ours)
