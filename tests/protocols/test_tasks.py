@@ -23,20 +23,12 @@ ITEMS = [
 
 
 @pytest.mark.parametrize(
-    ("name", "changes", "message"),
+    ("name", "options", "message"),
     [
-        (
-            "loudness",
-            {},
-            "protocol must be one of realism, similarity, dissimilarity, mushra, abx,",
-        ),
+        ("loudness", {}, "protocol must be one of realism, similarity, dissimilarity, mushra, abx,"),
         ("mushra", {"timing": "strict"}, "tasks.mushra.timing must be one of free; got 'strict'"),
         ("similarity", {"timing": "free"}, "must be one of replay, strict; got 'free'"),
-        (
-            "realism",
-            {"reference": "original"},
-            "tasks.realism.reference must not be set, got 'orig",
-        ),
+        ("realism", {"reference": "original"}, "tasks.realism.reference must not be set, got 'orig"),
         ("preference", {"reference": "original"}, "nothing is compared with a reference here"),
         ("abx", {"reference": "surface"}, "one of original, the name of a reducer; got 'surface'"),
         ("dissimilarity", {"reference": "dft321"}, "must be one of original; got 'dft321'"),
@@ -47,19 +39,6 @@ ITEMS = [
         ("abx", {"practice": -2}, "tasks.abx.practice must be a whole number from 0, got -2"),
         ("triplet", {"pairs": 0}, "tasks.triplet.pairs must be a whole number from 1, got 0"),
         ("abx", {"pairs": 3}, "must not be set, got 3: only triplet and preference have it; leave"),
-    ],
-)
-def test_what_a_protocol_does_not_have_is_refused(
-    name: str, changes: dict[str, Any], message: str
-) -> None:
-    with pytest.raises(ValueError, match=re.escape(message)) as refusal:
-        make_task(name, **changes)
-    assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
         ("abx", {"scales": ["abx", "sure"]}, "several scales are for tasks with one slider"),
         ("mushra", {"scales": ["mushra", "rough"]}, "several scales are for tasks with one slider"),
         ("realism", {"scales": ["roughness"]}, "must hold 'realism', the protocol's own, got"),
@@ -72,19 +51,16 @@ def test_what_a_protocol_does_not_have_is_refused(
         ("realism", {"onset_s": 601.0}, "onset_s must be 0.5 to 600, got 601"),
         ("mushra", {"gap_s": 1.0}, "tasks.mushra.gap_s must not be set: parts are felt at will"),
         ("mushra", {"onset_s": 9.0}, "tasks.mushra.onset_s must not be set: parts are felt at"),
+        ("realism", {"surface": True, "onset_s": 5.0}, "onset_s must not be set where the real surface"),
+        ("similarity", {"reference": "surface", "onset_s": 5.0}, "set where the real surface is touched"),
     ],
-)
-def test_scales_and_paces_that_a_task_has_not_are_refused(
+)  # fmt: skip
+def test_what_a_protocol_does_not_have_is_refused(
     name: str, options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises(ValueError, match=re.escape(message)):
+    with pytest.raises(ValueError, match=re.escape(message)) as refusal:
         make_task(name, **options)
-
-
-def test_no_fixed_onset_where_the_surface_is_touched() -> None:
-    for name, options in (("realism", {"surface": True}), ("similarity", {"reference": "surface"})):
-        with pytest.raises(ValueError, match=r"onset_s must not be set where the real surface"):
-            make_task(name, onset_s=5.0, **options)
+    assert "\n" not in str(refusal.value)
 
 
 @pytest.mark.parametrize("name", ["realism", "similarity", "dissimilarity"])
