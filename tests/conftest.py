@@ -35,27 +35,15 @@ RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 DEVICES = {"seat", "screen", "sound", "pulse", "pulses"}
 """Fixtures that start a participant's screen or a sound server."""
 
-TOGETHER = ("tests/analysis/stress", "tests/analysis/chart")
-"""Folders whose tests share what takes seconds to make: the worker that makes it runs them all. So does the worker that
-makes a fixture of a module."""
-
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark what runs in real time, and what one worker is to run."""
+    """Mark what runs in real time; that runs on one worker, and so does what shares a fixture of its module."""
+    fixtures = item._fixtureinfo.name2fixturedefs if isinstance(item, pytest.Function) else {}
     if DEVICES & set(getattr(item, "fixturenames", ())):
         item.add_marker("realtime")
-        group = "realtime"
-    else:
-        group = next(filter(item.nodeid.startswith, TOGETHER), "") or find_sharing_file(item)
-    if group:
-        item.add_marker(pytest.mark.xdist_group(group))
-
-
-def find_sharing_file(item: pytest.Item) -> str:
-    """The file of a test that uses a fixture of its module, which a second worker would make again; or none."""
-    fixtures = item._fixtureinfo.name2fixturedefs if isinstance(item, pytest.Function) else {}
-    shares = any(found[-1].scope == "module" for found in fixtures.values())
-    return item.nodeid.partition("::")[0] if shares else ""
+        item.add_marker(pytest.mark.xdist_group("realtime"))
+    elif any(found[-1].scope == "module" for found in fixtures.values()):
+        item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

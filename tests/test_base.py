@@ -1,13 +1,30 @@
+"""Records, arguments, jobs and files, which everything else is built on."""
+
+from __future__ import annotations
+
 import copy
+import csv
+import io
+import operator
 import pickle
 from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
+from feel321.analysis.table.schema import restore_cells
+from feel321.analysis.tradeoff.cost import list_candidates
+from feel321.analysis.tradeoff.measure import QUICK, Scope, measure_recording
 from feel321.doors import Registry, as_names, as_path, as_rng, as_seed
+from feel321.files import defuse, list_csv
+from feel321.jobs import Job, Workers, gather_results, run_jobs
 from feel321.records import REPR_WIDTH, Result
+from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.stimuli.synthesis import make_scene
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -16,7 +33,7 @@ class Fit(Result):
     slope: float
     votes: np.ndarray
     table: pd.DataFrame
-    parts: tuple["Fit", ...] = ()
+    parts: tuple[Fit, ...] = ()
 
 
 def make(**changes: object) -> Fit:
@@ -97,3 +114,50 @@ def test_a_seed_is_taken_or_drawn() -> None:
     assert as_seed(np.random.default_rng(1)) == as_seed(np.random.default_rng(1)) >= 0
     with pytest.raises(TypeError, match="rng must be a whole number from 0"):
         as_seed(-1)
+
+
+# Jobs: the same results, in the same order, whoever does them.
+
+
+FEW = {name: REDUCERS[name] for name in ("sax321", "dft321", "pca321")}
+
+
+def test_two_processes_give_what_one_gives() -> None:
+    trial = Scope(list_candidates(FEW), {}, QUICK, 1)
+    scenes = [make_scene(name, duration_s=0.3) for name in ("bumps", "hard_taps", "texture_drag")]
+    jobs: list[Job] = [(measure_recording, (scene, trial), {}) for scene in scenes]
+    steps = count(1)
+    one, two = (
+        gather_results(jobs),
+        gather_results(jobs, workers=Workers(2), done=lambda: next(steps)),
+    )
+    assert repr(one) == repr(two)
+    assert next(steps) == len(jobs) + 1
+
+
+def test_jobs_are_taken_only_a_few_ahead() -> None:
+    taken = count()
+    jobs = ((operator.add, (next(taken), 1), {}) for _ in range(1000))
+    place, result = next(run_jobs(jobs))
+    assert result == place + 1
+    assert next(taken) <= 3
+
+
+# Cells that a spreadsheet would run: written so that it does not, read as they were.
+
+
+CELLS = st.text(alphabet="'=+-@\t\r\n,\"a1.5e", max_size=8)
+
+
+@given(CELLS)
+def test_a_cell_comes_back_and_no_text_begins_as_a_formula(cell: str) -> None:
+    lines = list_csv(["x", "y"], [{"x": cell, "y": "1"}])
+    (row,) = csv.DictReader(io.StringIO("".join(lines), newline=""))
+    assert restore_cells(pd.DataFrame([row], dtype=str))["x"].to_list() == [cell]
+    if row["x"][:1] in {*"=+-@\t\r"}:
+        float(row["x"])  # a number, which stays as it is
+
+
+def test_numbers_stay_as_they_are() -> None:
+    for number in (-3.5, "-3.5", "+1e3", -1, None, True):
+        assert defuse(number) is number
