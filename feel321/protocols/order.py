@@ -88,21 +88,20 @@ def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) ->
     outer, inner = ({n: shuffle_rows(n, rng) for n in sorted(own)} for own in sizes)
     for turn, groups in enumerate(rounds):
         recordings, blocks, n = tuple(groups), [], len(groups)
-        for place in _take_row(n, outer[n], number, turn=turn):
+        for place in _take_row(n, outer[n], number, turn=turn, touching=True):
             own = recordings[place]
             size = len(groups[own])
-            rows = inner[size]
-            start = place + number * _find_stride(len(rows), n)
-            # Where successive rows do not touch, any may come next.
-            is_free = n > 1 and len(rows) < MIXABLE
-            row = _take_row(size, rows, start + turn * is_free, turn=turn)
+            start = place + number * _find_stride(len(inner[size]), n)
+            row = _take_row(size, inner[size], start, turn=turn, touching=n == 1)
             blocks.append(tuple((own, index) for index in row))
         yield tuple(blocks)
 
 
-def _take_row(n: int, rows: Sequence[int], start: int, *, turn: int) -> tuple[int, ...]:
-    """Take the row whose turn it is; two conditions whose rows touch can only come in the same order each time."""
-    moves = turn if len(rows) >= MIXABLE else 0
+def _take_row(
+    n: int, rows: Sequence[int], start: int, *, turn: int, touching: bool
+) -> tuple[int, ...]:
+    """Take the row whose turn it is. Where successive rows touch, two conditions can only come in the same order."""
+    moves = 0 if touching and len(rows) < MIXABLE else turn
     return williams_row(n, rows[(start + moves) % len(rows)])
 
 
@@ -241,22 +240,17 @@ def _count_crowding(order: Iterable[_Card]) -> int:
     )
 
 
-def find_crowding(trials: Iterable[Trial]) -> list[str]:
+def find_crowding(trials: Iterable[Trial]) -> Iterator[str]:
     """Find where a random order could not keep its rules."""
-    found = []
     main = (trial for trial in trials if trial.block)
     for protocol, group in groupby(main, key=lambda trial: trial.protocol):
         pairs = list(pairwise(group))
-        for count, what in (
-            (sum(a.recording == b.recording for a, b in pairs), "follow one of the same recording"),
-            (
-                sum({a.catch, b.catch} <= SPACED for a, b in pairs),
-                "judge the reference right after another",
-            ),
-        ):
-            if count:
-                found.append(f"{protocol}: {count} of {len(pairs) + 1} trials {what}")
-    return found
+        same = sum(one.recording == after.recording for one, after in pairs)
+        touching = sum({one.catch, after.catch} <= SPACED for one, after in pairs)
+        if same:
+            yield f"{protocol}: {same} of {len(pairs) + 1} trials follow one of the same recording"
+        if touching:
+            yield f"{protocol}: {touching} of {len(pairs) + 1} trials judge the reference right after another"
 
 
 ORDERS: Registry[Callable[..., Iterable[Blocks]]] = Registry(

@@ -243,16 +243,9 @@ def estimate_threshold(procedure: Procedure) -> ThresholdEstimate:
         "by something else than feeling it": find_tail(caught, len(silent)) < UNLIKELY,
         f"interval 1 answered in {first} of {len(answers)} trials": one_sided,
     }
-    return ThresholdEstimate(
-        mean,
-        low,
-        high,
-        *_summarise(slopes[0], procedure.weights.sum(axis=0)),
-        catch_trials=len(silent),
-        catch_correct=caught,
-        is_beyond=is_beyond,
-        notes=tuple(note for note, holds in notes.items() if holds),
-    )
+    slope = _summarise(slopes[0], procedure.weights.sum(axis=0))
+    held = tuple(note for note, holds in notes.items() if holds)
+    return ThresholdEstimate(mean, low, high, *slope, len(silent), caught, is_beyond, held)
 
 
 def find_tail(hits: int, trials: int) -> float:

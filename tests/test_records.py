@@ -1,10 +1,8 @@
-"""Records, arguments, jobs and files, which everything else is built on."""
+"""Records, arguments and jobs, which everything else is built on."""
 
 from __future__ import annotations
 
 import copy
-import csv
-import io
 import operator
 import pickle
 from dataclasses import dataclass, replace
@@ -13,14 +11,10 @@ from itertools import count
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from feel321.analysis.table.schema import restore_cells
 from feel321.analysis.tradeoff.cost import list_candidates
 from feel321.analysis.tradeoff.measure import QUICK, Scope, measure_recording
 from feel321.doors import Registry, as_names, as_path, as_rng, as_seed
-from feel321.files import defuse, list_csv
 from feel321.jobs import Job, Workers, gather_results, run_jobs
 from feel321.records import REPR_WIDTH, Result
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -141,23 +135,3 @@ def test_jobs_are_taken_only_a_few_ahead() -> None:
     place, result = next(run_jobs(jobs))
     assert result == place + 1
     assert next(taken) <= 3
-
-
-# Cells that a spreadsheet would run: written so that it does not, read as they were.
-
-
-CELLS = st.text(alphabet="'=+-@\t\r\n,\"a1.5e", max_size=8)
-
-
-@given(CELLS)
-def test_a_cell_comes_back_and_no_text_begins_as_a_formula(cell: str) -> None:
-    lines = list_csv(["x", "y"], [{"x": cell, "y": "1"}])
-    (row,) = csv.DictReader(io.StringIO("".join(lines), newline=""))
-    assert restore_cells(pd.DataFrame([row], dtype=str))["x"].to_list() == [cell]
-    if row["x"][:1] in {*"=+-@\t\r"}:
-        float(row["x"])  # a number, which stays as it is
-
-
-def test_numbers_stay_as_they_are() -> None:
-    for number in (-3.5, "-3.5", "+1e3", -1, None, True):
-        assert defuse(number) is number
