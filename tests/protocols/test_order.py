@@ -36,8 +36,13 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
 
+ROLES = {"original": "reference", "low": "anchor", "mid": "anchor"}
+ITEMS = [
+    Item(f"{recording}-{name}", recording, name, "as_is", ROLES.get(name, "test"))
+    for recording in ("bumps", "drag", "taps")
+    for name in ("sax321", "soc321", "dft321", "original", "low", "mid")
+]
 REALISM = ("realism",)
-BOTH = ("realism", "similarity")
 
 numbers, seeds, repeat_counts = st.integers(1, 60), st.integers(0, 2**32), st.integers(1, 3)
 orders = st.sampled_from(list(ORDERS))
@@ -111,10 +116,8 @@ def test_no_recording_follows_itself_across_blocks_and_rounds(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round(
-    items: list[Item], seed: int
-) -> None:
-    sessions = [list_blocks(order(items, number, 3, seed=seed)) for number in range(1, 7)]
+def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round(seed: int) -> None:
+    sessions = [list_blocks(order(ITEMS, number, 3, seed=seed)) for number in range(1, 7)]
     for block in sessions[0]:
         assert measure_balance([[own[block] for own in sessions]]) == ((1, 1), (1, 1))
 
@@ -162,11 +165,9 @@ def test_every_stimulus_stands_in_every_slot_of_a_page_equally_often(start: int,
         ({"order": "latin"}, "order must be one of williams, blocked, random; got 'latin'"),
     ],
 )
-def test_orders_of_nothing_are_refused(
-    items: list[Item], changes: dict[str, Any], message: str
-) -> None:
+def test_orders_of_nothing_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        order(items, **changes)
+        order(ITEMS, **changes)
     with pytest.raises(ValueError, match="items must be at least one"):
         order([])
     with pytest.raises(ValueError, match="n must be a number of conditions from 1, got 0"):
@@ -348,13 +349,6 @@ def test_shares_hold_every_recording_equally_often(n: int, count: int, seed: int
 
 
 # Training and practice.
-
-ROLES = {"original": "reference", "low": "anchor", "mid": "anchor"}
-ITEMS = [
-    Item(f"{recording}-{name}", recording, name, "as_is", ROLES.get(name, "test"))
-    for recording in ("bumps", "drag", "taps")
-    for name in ("sax321", "soc321", "dft321", "original", "low", "mid")
-]
 
 
 def rehearse(

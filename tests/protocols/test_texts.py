@@ -94,12 +94,6 @@ def test_unknown_language_is_refused_with_the_list() -> None:
         read_scales("xx")
 
 
-def test_a_lab_can_bring_a_file_of_its_own(own: Path) -> None:
-    assert read_texts(own)["pages"]["end"]["title"] == "Merci"
-    assert read_scales(own) == read_scales(MODEL)
-    assert read_texts(own)["refusals"] == read_texts()["refusals"]
-
-
 def test_all_gaps_of_an_own_file_are_told_at_once(own: Path, english: str) -> None:
     text = re.sub(r"(?s)\[pages\.rest\].*?(?=\[pages)", "", english)
     text = text.replace('"Fair", ', "").replace('choices = ["a", "b"]', 'choices = ["a", "c"]', 1)
