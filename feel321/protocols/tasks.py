@@ -149,9 +149,9 @@ def arrange_pair(comparison: Comparison, turn: int) -> Comparison:
         return comparison
     *before, one, other = comparison.parts
     (asked,) = comparison.judgements
-    expected = asked.expected and (
-        asked.expected if asked.part not in CHOICES else _turn_over(asked.expected)
-    )
+    expected = asked.expected
+    if expected and asked.part in CHOICES:
+        expected = _turn_over(expected)
     swapped = (replace(other, name=one.name), replace(one, name=other.name))
     return _pose(asked.part, *before, *swapped, expected=expected, catch=comparison.catch)
 
@@ -371,18 +371,13 @@ class Protocol:
         return (self.teach or self.compare)(items, task)
 
 
-_FELT = (ORIGINAL, "reducer")
+_FELT, _ANY = (ORIGINAL, "reducer"), (ORIGINAL, SURFACE, "reducer")
 _CHOICE = Protocol("preference", compare_choices, arrange=arrange_pair, some_pairs=True)
 _CHOICE = replace(_CHOICE, score=score_choice, choices=CHOICES)
 _ABX = replace(_CHOICE, name="abx", references=_FELT, arrange=arrange_abx, some_pairs=False)
 _ALL = (
     Protocol("realism", compare_realism),
-    Protocol(
-        "similarity",
-        compare_similarity,
-        references=(ORIGINAL, SURFACE, "reducer"),
-        sure_end=HIGHEST,
-    ),
+    Protocol("similarity", compare_similarity, references=_ANY, sure_end=HIGHEST),
     Protocol(
         "dissimilarity",
         compare_dissimilarity,
@@ -392,7 +387,7 @@ _ALL = (
     ),
     Protocol("mushra", compare_mushra, (FREE,), _FELT, arrange=arrange_mushra, sure_end=HIGHEST),
     replace(_ABX, compare=compare_abx, teach=teach_abx),
-    replace(_CHOICE, name="triplet", references=(ORIGINAL, SURFACE, "reducer", EVERY)),
+    replace(_CHOICE, name="triplet", references=(*_ANY, EVERY)),
     _CHOICE,
 )
 PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
