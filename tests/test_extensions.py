@@ -72,16 +72,12 @@ def test_a_file_a_package_an_entry_point_and_a_function_are_one_reducer(study: P
     for method in methods:
         found = OwnReducer(method)(SCENE.acceleration, SCENE.rate_hz)
         np.testing.assert_array_equal(found, expected)
-    turned = np.stack([SCENE.acceleration, -SCENE.acceleration])
-    np.testing.assert_array_equal(OwnReducer(methods[0])(turned, 1e4), [expected, -expected])
-
-
-def test_a_method_survives_the_way_to_another_process(study: Path) -> None:
-    method = find_method("metric", "methods/my321.py:crest", folder=study)
-    again = pickle.loads(pickle.dumps(method))  # noqa: S301 - what the line itself pickles
-    assert again == method
-    info = OwnMetric(again).info
+    again = pickle.loads(pickle.dumps(methods[0]))  # noqa: S301 - what the line itself pickles
+    assert again == methods[0]
+    info = OwnMetric(find_method("metric", "methods/my321.py:crest", folder=study)).info
     assert (info.label, info.higher, info.low, info.unit) == ("crest", "worse", 1.0, "of RMS")
+    turned = np.stack([SCENE.acceleration, -SCENE.acceleration])
+    np.testing.assert_array_equal(OwnReducer(again)(turned, 1e4), [expected, -expected])
 
 
 def test_the_digest_covers_what_is_imported_the_package_and_what_a_command_names(
@@ -199,7 +195,6 @@ TAKEN = {"reducer": stimuli.REDUCERS, "metric": stimuli.METRICS}
 # Body of f(acceleration, rate_hz) -> what the line says.
 REDUCERS = {
     "raises": ("raise RuntimeError('no sensor')", r"RuntimeError: no sensor \(methods/bad.py, line 6\)"),
-    "several lines": ("raise ValueError('one\\ntwo')", "ValueError: one two "),
     "endless message": ("raise ValueError('x' * 10000)", r"x{200}\.\.\."),
     "error without words": ("raise KeyError", r"KeyError \(methods/bad.py, line 6\)"),
     "error that cannot be written": ("raise Odd", r"Odd \(methods"),
@@ -208,15 +203,9 @@ REDUCERS = {
     "recursion": ("return f(acceleration, rate_hz)", "RecursionError: maximum recursion depth"),
     "real memory": ("np.empty(10**15)", "(MemoryError|ArrayMemoryError): Unable to allocate"),
     "warning as error": ("warnings.simplefilter('error'); warnings.warn('hot')", "UserWarning: hot"),
-    "nothing": ("pass", "must return finite real numbers of shape .3000,., got None"),
-    "list of lists": ("return [[1.0], [1.0, 2.0]]", "got list"),
-    "dictionary": ("return {}", "got {}"),
     "three axes": ("return acceleration", r"got float64 of shape \(3, 3000\)"),
     "too short": ("return acceleration[0, 1:]", r"got float64 of shape \(2999,\)"),
-    "complex": ("return acceleration[0] * 1j", "got complex128 of shape"),
-    "boolean": ("return acceleration[0] > 0", "got bool of shape"),
     "nan": ("return acceleration[0] * np.nan", "got 3000 that are not finite, first at 0"),
-    "infinite": ("return acceleration[0] / 0.0", "not finite"),
     "masked": ("return np.ma.masked_less(acceleration[0], 0)", "masked values"),
     "changes its input": ("acceleration *= 2; return acceleration[0]", "changed its input"),
     "generator": ("yield 1", "must return finite real numbers"),
@@ -226,10 +215,7 @@ REDUCERS = {
 # Body of f(acceleration, reduced, rate_hz).
 METRICS = {
     "raises": ("raise RuntimeError('no')", r"metric f: RuntimeError: no \(methods/bad.py, line 6\)"),
-    "nothing": ("return None", "must return a number, got None"),
     "array": ("return np.ones(2)", r"must return a number, got ndarray of shape \(2,\)"),
-    "complex": ("return 1j", "must return a number, got 1j"),
-    "infinite": ("return float('inf')", "got inf"),
     "out of bounds": ("return 2.0\nf.high = 1.0", "from -inf to 1, or NaN"),
     "wrong direction": ("return 1.0\nf.higher = 'up'", "higher must be 'better' or 'worse', got 'up'"),
     "wrong bounds": ("return 1.0\nf.low, f.high = 1.0, 0.0", "low must be below high"),
@@ -241,9 +227,7 @@ METRICS = {
 FILES = {
     "syntax": ("def f(:\n", r"SyntaxError: .*\(methods/bad.py, line 1\); cannot be loaded"),
     "fails at import": ("1 / 0\n", r"ZeroDivisionError: .*\(methods/bad.py, line 1\)"),
-    "exits at import": ("import sys\nsys.exit()\n", "SystemExit"),
     "no such name": ("def g(): pass\n", "defines no 'f'"),
-    "a number": ("f = 3\n", "TypeError: 'int' object is not callable"),
     "class without call": ("class f: pass\n", "TypeError: 'f' object is not callable"),
     "class that needs more": ("class f:\n    def __init__(self, x): pass\n", "TypeError: .*cannot be made"),
     "too few parameters": ("def f(acceleration): return acceleration[0]\n", "TypeError: .*takes 1 positional"),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.protocols import tasks
@@ -72,10 +72,6 @@ def list_tasks() -> list[Task]:
     ]
 
 
-def describe(task: Task) -> str:
-    return f"{task.protocol}-{task.timing}-{task.reference}" + "-surface" * task.surface
-
-
 def list_items(task: Task, drawn: Drawn) -> list[Item]:
     """A set; a triplet has two reducers to choose from besides the one that may be the reference."""
     least = 3 if task.protocol == "triplet" else 0
@@ -96,8 +92,8 @@ def list_expected(comparisons: tuple[Comparison, ...]) -> list[tuple[float, floa
     return [judgement.expected for c in comparisons for judgement in c.judgements]
 
 
-every_task = pytest.mark.parametrize("task", list_tasks(), ids=describe)
-few = settings(max_examples=25)  # there are 54 sets
+NAMED = {f"{t.protocol}-{t.timing}-{t.reference}-{t.surface}": t for t in list_tasks()}
+every_task = pytest.mark.parametrize("task", NAMED.values(), ids=NAMED)
 
 
 def test_registry_lists_every_protocol_under_its_own_name() -> None:
@@ -107,7 +103,6 @@ def test_registry_lists_every_protocol_under_its_own_name() -> None:
 
 
 @every_task
-@few
 @given(drawn=SETS, turn=st.integers(0, 50))
 def test_every_comparison_is_whole_inside_one_arm_and_reveals_nothing(
     task: Task, drawn: Drawn, turn: int
@@ -136,7 +131,6 @@ def test_every_comparison_is_whole_inside_one_arm_and_reveals_nothing(
 
 
 @every_task
-@few
 @given(drawn=SETS)
 def test_no_comparison_comes_twice_and_a_catch_is_where_something_is_expected(
     task: Task, drawn: Drawn
@@ -160,7 +154,6 @@ def test_no_comparison_comes_twice_and_a_catch_is_where_something_is_expected(
 
 
 @every_task
-@few
 @given(drawn=SETS, turn=st.integers(0, 50))
 def test_arranging_moves_what_is_felt_and_changes_nothing_else(
     task: Task, drawn: Drawn, turn: int
@@ -183,7 +176,6 @@ def test_arranging_moves_what_is_felt_and_changes_nothing_else(
 
 
 @every_task
-@few
 @given(drawn=SETS)
 def test_training_shows_what_is_judged_and_all_that_is_known_of_it(
     task: Task, drawn: Drawn
@@ -349,7 +341,6 @@ ITEMS = [
     [
         ("loudness", {}, "protocol must be one of realism, similarity, dissimilarity, mushra, abx,"),
         ("mushra", {"timing": "strict"}, "tasks.mushra.timing must be one of free; got 'strict'"),
-        ("similarity", {"timing": "free"}, "must be one of replay, strict; got 'free'"),
         ("realism", {"reference": "original"}, "tasks.realism.reference must not be set, got 'orig"),
         ("preference", {"reference": "original"}, "nothing is compared with a reference here"),
         ("abx", {"reference": "surface"}, "one of original, the name of a reducer; got 'surface'"),
@@ -358,7 +349,6 @@ ITEMS = [
         ("similarity", {"surface": True}, "leave it out, or set reference = 'surface'"),
         ("abx", {"surface": True}, "nothing is judged by itself here; leave it out"),
         ("abx", {"training": -1}, "tasks.abx.training must be a whole number from 0, got -1"),
-        ("abx", {"practice": -2}, "tasks.abx.practice must be a whole number from 0, got -2"),
         ("triplet", {"pairs": 0}, "tasks.triplet.pairs must be a whole number from 1, got 0"),
         ("abx", {"pairs": 3}, "must not be set, got 3: only triplet and preference have it; leave"),
         ("abx", {"scales": ["abx", "sure"]}, "several scales are for tasks with one slider"),
@@ -372,7 +362,6 @@ ITEMS = [
         ("realism", {"answer_timeout_s": 0.1}, "answer_timeout_s must be 0.5 to 600, got 0.1"),
         ("realism", {"onset_s": 601.0}, "onset_s must be 0.5 to 600, got 601"),
         ("mushra", {"gap_s": 1.0}, "tasks.mushra.gap_s must not be set: parts are felt at will"),
-        ("mushra", {"onset_s": 9.0}, "tasks.mushra.onset_s must not be set: parts are felt at"),
         ("realism", {"surface": True, "onset_s": 5.0}, "onset_s must not be set where the real surface"),
         ("similarity", {"reference": "surface", "onset_s": 5.0}, "set where the real surface is touched"),
     ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -54,8 +54,8 @@ class Observer:
 def conduct(
     name: str, observer: Observer, *, seed: int = 1, plan: dict[str, Any] | None = None
 ) -> Procedure:
-    settings = {"lowest_db": -60, "highest_db": 0, "start_db": -10, "seed": seed, **(plan or {})}
-    procedure, rng = resume(name, ThresholdPlan(**settings)), np.random.default_rng([seed, 7])
+    procedure = resume(name, replace(PLAN, seed=seed, **(plan or {})))
+    rng = np.random.default_rng([seed, 7])
     while (trial := procedure.next()) is not None:
         procedure.update(observer.answer(trial, rng))
     return procedure
@@ -181,7 +181,7 @@ def test_a_preferred_interval_is_noted_from_5_percent_on() -> None:
 )
 def test_plans_that_cannot_be_run(change: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        ThresholdPlan(**{"lowest_db": -60, "highest_db": 0, "start_db": -10, **change})
+        replace(PLAN, **change)
 
 
 def test_refused_answers() -> None:
