@@ -70,11 +70,11 @@ def run_jobs(
     elif max(workers.count, threads) == 1:
         yield from starmap(_do, enumerate(jobs))
     else:
-        # After a kill joblib tidies up, and need not say so between our lines.
-        os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
         from joblib import Parallel, delayed
 
         if workers.count > 1:
+            # After a kill joblib tidies up, and need not say so between our lines.
+            os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
             crew = Parallel(workers.count, return_as="generator_unordered")
             calls = (delayed(_do)(place, job) for place, job in enumerate(jobs))
         else:

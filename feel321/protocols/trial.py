@@ -18,18 +18,20 @@ if TYPE_CHECKING:
 RATING_RANGE = (0.0, 100.0)  # lowest and highest rating of every scale, in points
 
 FREE = "free"
-TIMINGS = ("strict", "replay", FREE)
-"""How the parts of a trial are felt: once in order; in order and again at will; at will from the start."""
-
+TIMINGS = (
+    "strict",
+    "replay",
+    FREE,
+)  # parts are felt once in order; then again at will; at will from the start
 SURFACE = "surface"  # stands for the id of a stimulus where the real surface is felt
 ORIGINAL = "original"  # name of the recording itself as a reference
-MATCHING, THRESHOLD = "matching", "threshold"
-"""Protocol, scale and phase of the trials of a block of `protocols.threshold`, besides its practice."""
+MATCHING, THRESHOLD = (
+    "matching",
+    "threshold",
+)  # protocol, scale and phase of the trials of these blocks
 
 DEVICE_FLAGS = ("underrun", "clipped", "device_error", "not_delivered")
-FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")
-"""What can be wrong with an attempt at a trial: by the device, or by the participant."""
-
+FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")  # what can be wrong with an attempt at a trial
 VALID, LOST, SPOILED = "valid", "lost", "spoiled"
 """What becomes of an attempt. The device lost it, which uses up no attempt of the participant, or they spoiled it."""
 
