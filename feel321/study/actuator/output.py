@@ -24,15 +24,22 @@ from feel321.stimuli.wav import encode_wav
 from feel321.study.actuator.device import (
     BlockTimes,
     DeviceStream,
-    Patience,
     SessionClock,
     Sink,
     Trigger,
     join,
+    refresh_devices,
 )
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.response import Sweep, find_slip
-from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify, require_sensor
+from feel321.study.actuator.rig import (
+    FILE_DEVICE,
+    SIMULATED_DEVICE,
+    Rig,
+    advise_latency,
+    identify,
+    require_sensor,
+)
 from feel321.study.actuator.simulated import FileSink, SimulatedStream
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
@@ -64,17 +71,14 @@ class Take:
     dac_source: str = ""
     end_s: float | None = None
     is_out: bool = False
-    n_blocks: int = 0
     dry_frames: list[int] = field(default_factory=list)
     n_sensor_gaps: int = 0
     longest_s: float = 0.0
-    sensor_latency_s: float = 0.0
     n_sensed: int = 0
     end_frame: int = 0
 
     def add_block(self, block: BlockTimes, *, frame: int) -> None:
         """Take account of a block that the mixer has filled."""
-        self.n_blocks += 1
         if block.has_run_dry:
             self.dry_frames.append(frame)
         self.n_sensor_gaps += block.has_lost_input
@@ -84,7 +88,6 @@ class Take:
         if self.onset_s is None and cue.n_played:
             self.onset_s = block.dac_s + (cue.onset_frame - frame) / self.rate_hz
             self.dac_source = block.dac_source
-            self.sensor_latency_s = block.dac_s - block.adc_s
         if self.end_s is None and cue.is_over:
             self.end_frame = cue.onset_frame + cue.n_played if cue.n_played else frame
             self.end_s = block.dac_s + (self.end_frame - frame) / self.rate_hz
@@ -125,13 +128,11 @@ class Take:
 
 OPENING_S = 5.0  # beyond its pre-roll; sound servers usually take two seconds to run a stream
 N_OPENINGS = 3  # attempts: a busy sound server may let a first stream stand; a later one runs
-WAKING_S = 1.0  # until a stream asks for a block that nobody looked at and that was silent for long
 REVIVING_S = 8.0  # longest wait of a start for a dead device; it may well come back later
 BEYOND_S = 5.0  # longest recording of the sensor beyond the stimulus; two latencies of 2 s fit in
 LOOK_S = 0.005  # between two looks at a sink that is waited for
-
+# Sinks by the name of the device; every other name is an audio device's.
 SINKS: Mapping[str, type[Sink]] = {FILE_DEVICE: FileSink, SIMULATED_DEVICE: SimulatedStream}
-"""Sinks by the name of the device; every other name is an audio device's."""
 
 
 class Output:
@@ -141,6 +142,7 @@ class Output:
     the gap is taken up by it, and an onset is that of the vibration. captured: what was recorded of the last playback
     that was collected, shape (axes, n) in m/s² by a sensor, (channels, n) in full scales for a file; it is written to
     the folder, if there is one, under the next free number: a name would tell the experimenter what was played.
+    identity: rig, device, rate and channels, for the journal's header; compared when a session is resumed.
     """
 
     def __init__(
@@ -164,6 +166,7 @@ class Output:
             longest = max((len(sound) for sound in sounds.values()), default=0)
             n_room, n_axes = longest + round(BEYOND_S * rate_hz), len(rig.sensor.inputs)
             self._room = np.zeros((n_room, n_axes), dtype=np.float32)
+        self._make_sink = SINKS.get(rig.device.name, DeviceStream)
         self._sink: Sink | None = None
         self._n_frames = self._n_dry = 0
         self._n_dry_before = -1  # a stream that was opened anew has not the certificate's latency
@@ -174,29 +177,22 @@ class Output:
         self._stopped_s: float | None = None
         self.captured: Frames | None = None
         self.identity: Mapping[str, Any] = {}
-        """Rig, device, rate and channels, for the journal's header; compared when a session is resumed."""
 
     def open(self) -> None:
         """Open the sink, and wait until it runs steadily."""
-        make_sink = SINKS.get(self._rig.device.name, DeviceStream)
+        rig, rate_hz = self._rig, self._rate_hz
         for _ in range(N_OPENINGS):
-            self._n_frames, n_wanted = 0, self._preroll_s * self._rate_hz
+            self._n_frames, n_wanted = 0, self._preroll_s * rate_hz
             self._mixer.reset()
-            self._sink = sink = make_sink(
-                self._rig, rate_hz=self._rate_hz, fill=self._fill, clock=self._clock
-            )
-            patience = Patience()
-            while self._n_frames < n_wanted and sink.is_active:
-                if patience.look() > OPENING_S + self._preroll_s:
+            sink = self._make_sink(rig, rate_hz=rate_hz, fill=self._fill, clock=self._clock)
+            self._sink = sink
+            for _ in range(round((OPENING_S + self._preroll_s) / LOOK_S)):
+                if self._n_frames >= n_wanted:
                     break
                 sleep(LOOK_S)
             if self._n_frames >= n_wanted:
-                self.identity = {
-                    "rig": identify(self._rig),
-                    **sink.identity,
-                    "rate_hz": self._rate_hz,
-                    "channels": self._rig.n_channels,
-                }
+                own = {"rate_hz": rate_hz, "channels": rig.n_channels}
+                self.identity = {"rig": identify(rig), **sink.identity, **own}
                 return
             self.close()
         raise OSError(f"device {sink.name!r} does not run; is it in use elsewhere?")
@@ -223,7 +219,8 @@ class Output:
         self._take = self._stopped_s = self.captured = None
         if self._error or sink is None:
             return
-        sink.begin()
+        if isinstance(sink, FileSink):
+            sink.begin()
         take = Take(self._rate_hz, sink.there_and_back_s, held_s=sink.latency_s, sensor=self._room)
         self._take = take  # before the mixer knows, so that no block is missed
         take.cue = self._mixer.start(
@@ -250,7 +247,7 @@ class Output:
         take, sink = self._take, self._sink
         if take is None or sink is None:
             return False
-        while not take.is_out and sink.serve_due():
+        while isinstance(sink, FileSink) and not take.is_out and sink.serve_due():
             continue
         if take.is_out:
             return False
@@ -274,9 +271,8 @@ class Output:
             raise ValueError("the playback still plays; stop it, or wait until is_playing is False")
         take = self._take
         if take is None or take.cue is None:
-            return Playback(
-                self._requested_s, None, completed=False, error=self._error or "nothing was started"
-            )
+            error = self._error or "nothing was started"
+            return Playback(self._requested_s, None, completed=False, error=error)
         cue, onset_s = take.cue, self._find_onset(take)
         self.captured = self._capture(take)
         measured, sha256 = self._describe_take(take, cue), ""
@@ -325,41 +321,33 @@ class Output:
     def _capture(self, take: Take) -> Frames | None:
         """Take what was recorded: by a file from the start on, by a sensor from the frame in which the onset was sent.
 
-        So recordings of one session are aligned to the sample: the onset stands at the same sample in all of them,
-        which is the way there and back and is measured by doctor. They are not cut there by the times that the device
-        gives of its input, which can be wrong by much more (10 ms and, at a stream's begin, 0.4 s were seen).
+        So the onset stands at the same sample in all recordings of a session; the times that devices give of their
+        input were seen to be wrong by 10 ms and, at a stream's begin, 0.4 s.
         """
         if isinstance(self._sink, FileSink):
             return np.concatenate(self._sink.blocks).T
         if self._rig.sensor is None or take.sensor is None or not take.n_sensed:
             return None
-        sensed = take.sensor[: take.n_sensed].T * np.float32(self._rig.sensor.full_scale_m_s2)
-        return np.asarray(sensed)
+        scale = np.float32(self._rig.sensor.full_scale_m_s2)
+        return np.asarray(take.sensor[: take.n_sensed].T * scale)
 
     def _describe_take(self, take: Take, cue: Cue) -> dict[str, float]:
-        """Count the samples that were played, and those left out before; on a device, blocks and times too."""
-        measured = {"n_samples": float(cue.n_played)}
-        if cue.first_frame:
-            measured["first_sample"] = float(cue.first_frame)
-        if self._is_file:
-            return measured
-        latency_s = self._rig.device.latency_s if self._sink is None else self._sink.latency_s
-        measured |= {"blocks": float(take.n_blocks), "callback_ms_max": take.longest_s * 1e3}
-        underruns = take.find_underruns()
-        if gaps := len(take.dry_frames) - len(underruns):
-            measured["gap_underruns"] = float(gaps)
-        if underruns:
-            measured["underrun_sample"] = float(underruns[0])
-        measured["latency_s"] = latency_s
-        if take.onset_s is not None:
-            measured["dac_time_s"] = take.onset_s
-        was_cut = 0 < cue.n_played < len(cue.sound)
-        if self._stopped_s is not None and take.end_s is not None and was_cut:
-            measured["stop_s"] = take.end_s + self._clock_ahead_s - self._stopped_s
-        if self.captured is not None:
-            measured["sensor_onset_sample"] = float(round(take.sensor_latency_s * self._rate_hz))
-            measured["sensor_gaps"] = float(take.n_sensor_gaps)
-        return measured
+        """Count the samples that were played, and those left out before; on a device, times too."""
+        own: dict[str, float | None] = {"n_samples": cue.n_played}
+        own["first_sample"] = cue.first_frame or None
+        if not self._is_file:
+            underruns, was_cut = take.find_underruns(), 0 < cue.n_played < len(cue.sound)
+            own |= {
+                "callback_ms_max": take.longest_s * 1e3,
+                "latency_s": take.held_s,
+                "gap_underruns": len(take.dry_frames) - len(underruns) or None,
+                "underrun_sample": underruns[0] if underruns else None,
+                "dac_time_s": take.onset_s,
+                "sensor_gaps": None if self.captured is None else take.n_sensor_gaps,
+            }
+            if self._stopped_s is not None and take.end_s is not None and was_cut:
+                own["stop_s"] = take.end_s + self._clock_ahead_s - self._stopped_s
+        return {name: float(value) for name, value in own.items() if value is not None}
 
     def _fill(self, out: Frames, block: BlockTimes, sensed: Frames | None) -> None:
         """Fill a block that the sink asks for, in its own thread."""
@@ -377,7 +365,7 @@ class Output:
     def _revive(self) -> str:
         """Open the sink again if it does not run; returns what went wrong."""
         if self._opening is None:
-            if self._sink is not None and _runs(self._sink):
+            if self._sink is not None and not self._sink.find_fault():
                 return ""
             # Looking for devices can hang as long as a sound server does; the session must not.
             self._opening = Thread(target=self._reopen, daemon=True)
@@ -392,22 +380,11 @@ class Output:
         self._n_dry += 1
         self.close()
         try:
-            SINKS.get(self._rig.device.name, DeviceStream).refresh()
+            if self._make_sink is DeviceStream:
+                refresh_devices()
             self.open()
         except OSError as problem:
             self._opening_error = str(problem)
-
-
-def _runs(sink: Sink) -> bool:
-    """Say whether a sink runs; one that nobody looked at for long is given a moment."""
-    patience = Patience()
-    while not sink.find_fault():
-        if not sink.is_silent:
-            return True
-        if patience.look() > WAKING_S:
-            return False
-        sleep(LOOK_S)
-    return False
 
 
 def _write_numbered(folder: Path, samples: Frames, rate_hz: float) -> tuple[int, str]:
@@ -421,17 +398,9 @@ def _write_numbered(folder: Path, samples: Frames, rate_hz: float) -> tuple[int,
 
 
 @contextmanager
-def open_output(
-    rig: Rig,
-    sounds: Sounds,
-    *,
-    rate_hz: float,
-    clock: SessionClock,
-    folder: Path | None = None,
-    check: DeliveryCheck | None = None,
-) -> Iterator[Output]:
+def open_output(rig: Rig, sounds: Sounds, **choices: Any) -> Iterator[Output]:  # noqa: ANN401 - as of `Output`
     """Open what a rig plays on, and silence and close it whatever happens."""
-    output = Output(rig, sounds, rate_hz=rate_hz, clock=clock, folder=folder, check=check)
+    output = Output(rig, sounds, **choices)
     try:
         output.open()
         yield output
@@ -477,8 +446,8 @@ class Bench:
                 break
         else:
             raise OSError(
-                f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or raise "
-                "latency_s in rig.toml"
+                f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or "
+                f"{advise_latency(self.rig)}"
             )
         self._check(recorded[:, :n], clipped=played.clipped)
         self.done_s += n / self.rate_hz
@@ -513,7 +482,7 @@ class Bench:
         raise OSError(
             f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are "
             "lost between output and sensor, or the sensor's device has a clock of its own; put both on one sound "
-            "card, named itself, raise latency_s in rig.toml, or lower sweep_s and repeats under [calibration]"
+            f"card, named itself, {advise_latency(self.rig)}, or lower sweep_s and repeats under [calibration]"
         )
 
 

@@ -421,7 +421,7 @@ def find_faults(played: Played, flow: Flow) -> dict[str, str]:
         "device_error": played.error,
         "not_delivered": played.fault or "; ".join(filter(None, [loss, loss and played.notice])),
         "underrun": f"the device ran dry ({played.underruns} underruns): close other programs, switch off power "
-        "saving, or raise latency_s in rig.toml"
+        "saving, or raise latency_s in rig.toml (pause_s under [calibration] must be more than twice as long)"
         if played.underruns
         else "",
         "clipped": f"{played.clipped} samples were limited: lower the level, or raise the limit in rig.toml"
