@@ -63,10 +63,10 @@ DAMAGED = (zipfile.BadZipFile, zlib.error)
 KEPT = timedelta(days=1)  # for so long a coil need not be measured again
 
 
-def make_main(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
-    """Make the sweep that is the measurement."""
+def make_sweeps(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> tuple[Sweep, Sweep]:
+    """Make the sweep that is the measurement, and the shorter one before it."""
     settings = rig.calibration
-    return Sweep(
+    main = Sweep(
         rate_hz=rate_hz,
         band_hz=settings.band_hz,
         duration_s=min(settings.sweep_s, MARGIN * rig.limits.duration_s),
@@ -74,12 +74,7 @@ def make_main(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
         n_repeats=settings.repeats,
         peak=peak,
     )
-
-
-def make_quiet(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
-    """Make the sweeps before it, which are shorter."""
-    main = make_main(rig, rate_hz=rate_hz, peak=peak)
-    return replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
+    return main, replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
 
 
 def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
@@ -125,12 +120,12 @@ def measure_coil(
         recorded = bench.play_sweep(make_sweep(one), one, actuator.channel)
         return measure_sweep(one, recorded), recorded
 
-    probe, _ = sweep(make_quiet(rig, rate_hz=rate_hz, peak=PROBE * level))
+    probe, _ = sweep(make_sweeps(rig, rate_hz=rate_hz, peak=PROBE * level)[1])
     _check_alive(rig, probe)
     top = min(level, find_safe(rig, probe))
     levels = [share * top for share in LADDER]
-    ladder = [sweep(make_quiet(rig, rate_hz=rate_hz, peak=peak))[0] for peak in levels]
-    loud = make_main(rig, rate_hz=rate_hz, peak=top)
+    ladder = [sweep(make_sweeps(rig, rate_hz=rate_hz, peak=one)[1])[0] for one in levels]
+    loud, _ = make_sweeps(rig, rate_hz=rate_hz, peak=top)
     main, recorded = sweep(loud)
     inside = find_inside(probe.frequency_hz, band_hz=loud.band_hz)
     in_band_hz = probe.frequency_hz[inside]
@@ -281,7 +276,7 @@ def judge_filter(
 def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertificate:
     """Play a sweep through the filter of a coil, as loud as its own, and compare the motion with the target."""
     rig, top = bench.rig, float(run.levels[-1])
-    sweep = make_main(rig, rate_hz=bench.rate_hz, peak=top)
+    sweep, _ = make_sweeps(rig, rate_hz=bench.rate_hz, peak=top)
     asked = make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
     scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
@@ -294,7 +289,7 @@ def measure_latencies(
     bench: Bench, coils: Mapping[str, CoilCertificate]
 ) -> dict[str, CoilCertificate]:
     """Measure the latencies of all coils in one recording: a device that ran dry goes on with another latency."""
-    quiet = make_quiet(bench.rig, rate_hz=bench.rate_hz)
+    _, quiet = make_sweeps(bench.rig, rate_hz=bench.rate_hz)
     turn, n_coils, once = quiet.period, len(coils), make_sweep(quiet)[: quiet.period]
     n = turn * quiet.n_repeats * n_coils
     sounds = {coil.channel: np.zeros(n) for coil in coils.values()}
@@ -378,7 +373,7 @@ class Calibration:
         """Measure the coils, make their filters, and verify them by playing through them."""
         rig, rate_hz = self.rig, self.rate_hz
         require_sensor(rig)
-        main, quiet = make_main(rig, rate_hz=rate_hz), make_quiet(rig, rate_hz=rate_hz)
+        main, quiet = make_sweeps(rig, rate_hz=rate_hz)
         n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
         n_coils, n_silent = len(rig.actuators), round(SILENCE_S * rate_hz)
         runs = self.find_runs(within=KEPT)

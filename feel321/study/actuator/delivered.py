@@ -136,7 +136,6 @@ def _find_power(
 
 
 def _limit(samples: Samples, rate_hz: float, *, band_hz: Band) -> Samples:
-    """Take out of signals, (axes, n), what lies outside a band."""
     n = samples.shape[-1]
     inside = find_inside(fft.rfftfreq(n, 1 / rate_hz), band_hz=band_hz)
     return np.asarray(fft.irfft(fft.rfft(samples) * inside, n))
@@ -174,10 +173,9 @@ class Baseline:
 
 
 def find_moves(rig: Rig, n_tracks: int, directions: Mapping[str, Samples] | None = None) -> Samples:
-    """Find how each of 1 or 3 tracks of a stimulus moves the hand: shape (axes, n_tracks).
+    """Find how each of 1 or 3 tracks of a stimulus moves the hand, shape (axes, n_tracks), by directions of the coils.
 
-    directions: of the coils, as a sensor of so many axes saw them; as in rig.toml by default. Where rig.toml gives none
-    either, a track moves the hand as it is.
+    Those of rig.toml by default; where it gives none either, a track moves the hand as it is.
     """
     sources, mix = (REDUCED,) if n_tracks == 1 else AXES, find_mix(rig)
     if directions is None:
@@ -239,11 +237,8 @@ class DeliveryCheck:
     def describe(
         self, stimulus_id: str, sent: Frames, measured: ArrayLike | None
     ) -> Mapping[str, float]:
-        """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted.
-
-        Tones of the threshold block are not of the set, and not compared.
-        """
-        if stimulus_id not in self._own:
+        """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted."""
+        if stimulus_id not in self._own:  # a tone of the threshold block
             return {}
         if measured is not None:
             return self.measure(stimulus_id, np.asarray(measured, dtype=np.float64))
@@ -255,14 +250,11 @@ class DeliveryCheck:
     def diagnose(
         self, sent: Frames, measured: ArrayLike | None, *, keeps_latency: bool
     ) -> tuple[str, str]:
-        """Name what is wrong with the rig by a whole playback: what spoils it, or else what is only to be told.
-
-        keeps_latency: whether the device ran without a break since the last one.
-        """
+        """Name what is wrong with the rig by a whole playback: what spoils it, or else what is only to be told."""
         diagnosis = self._diagnosis
         if diagnosis is None or measured is None:
             return "", ""
-        if not keeps_latency:
+        if not keeps_latency:  # the device had a break since the last one
             diagnosis.lag = None
         found = diagnosis.judge(sent, np.asarray(measured, dtype=np.float64))
         return (found, "") if diagnosis.is_grave else ("", found)

@@ -69,8 +69,7 @@ class Fit:
 class Motion:
     """What one coil, or several in one direction, did in a playback, and how that fits what was sent to it.
 
-    noise: its energy; distortion: what no linear response explains, over the motion. level_db: of all its motion over
-    what was asked.
+    distortion: what no linear response explains, over the motion. level_db: of all its motion over what was asked.
     """
 
     name: str
@@ -133,8 +132,7 @@ def _swing(at_hz: Samples, resonance_hz: float, q: float) -> Spectrum:
 class Scene:
     """One playback, taken apart by coil; all spectra are those of the band, shape (k,).
 
-    lag: common to all coils, in samples; follows: share of all motion that follows any coil's samples there. rate: of
-    the converter over that of the samples.
+    lag: common to all coils, in samples; follows: share of all motion that follows any coil's samples there.
     """
 
     def __init__(
@@ -199,7 +197,6 @@ class Scene:
         return place * self._coarse, float(total[place] / max(whole, TINY))
 
     def _correlate(self, cross: Spectrum) -> Samples:
-        """Make a correlation over coarse lags of a cross-spectrum: at 0 its sum."""
         n = self.n_grid // self._coarse
         spectrum = np.zeros(n // 2 + 1, dtype=np.complex128)
         spectrum[self._inside] = cross
@@ -399,7 +396,6 @@ class Diagnosis:
         straight = {name: self.motions[name].fit.left * size for name, size in moved.items()}
 
         def leave(pair: tuple[str, str]) -> float:
-            """Add up what is left of all motion if two coils are exchanged."""
             left = straight.copy()
             for own, other in (pair, pair[::-1]):
                 asked = scene.asked[own, other]
@@ -458,7 +454,6 @@ class Diagnosis:
         return f"rattle, {told}: something touches or is loose; fasten it"
 
     def _find_delay(self, lags: Sequence[float], rate_hz: float) -> Iterator[str]:
-        """Name a delay that moved since the last playback."""
         before, self.lag = self.lag, float(np.median(lags))
         if before is not None and LATE_S < abs(self.lag - before) / rate_hz < self._most_s:
             yield (

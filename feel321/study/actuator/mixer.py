@@ -9,7 +9,7 @@ the stream is cut into blocks; NaN becomes silence.
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -218,8 +218,8 @@ class Cue:
     lead_frames: by how much its first sample is sent before the vibration begins.
     """
 
-    sound: Frames
-    gap_frames: int
+    sound: Frames = field(default_factory=lambda: np.zeros((0, 1), dtype=np.float32))
+    gap_frames: int = 0
     scale: float = 1.0
     first_frame: int = 0
     lead_frames: int = 0
@@ -291,6 +291,7 @@ class Mixer:
         scale: float = 1.0,
         goes_on: bool = False,
         lead_s: float = 0.0,
+        cue: Cue | None = None,
     ) -> Cue:
         """Ask for a stimulus, times `scale`; the one that is playing is stopped.
 
@@ -309,11 +310,12 @@ class Mixer:
             sound = sound[first:].copy()
             n = min(len(sound), len(self._fade_steps))
             sound[:n] *= (self._fade_steps[:n] / np.float32(n))[:, None]
-        silence_s = max(gap_s - lead_s, min(gap_s, PAUSE_S))
-        lead = 0 if first else round(lead_s * self._rate_hz)
-        self._latest = Cue(sound, round(silence_s * self._rate_hz), scale, first, lead)
-        self._waiting.append(self._latest)
-        return self._latest
+        cue = self._latest = cue or Cue()
+        cue.sound, cue.scale, cue.first_frame = sound, scale, first
+        cue.gap_frames = round(max(gap_s - lead_s, min(gap_s, PAUSE_S)) * self._rate_hz)
+        cue.lead_frames = 0 if first else round(lead_s * self._rate_hz)
+        self._waiting.append(cue)
+        return cue
 
     @property
     def is_playing(self) -> bool:
@@ -326,10 +328,7 @@ class Mixer:
             self._latest.is_stopping = True
 
     def reset(self) -> None:
-        """Forget what plays and what waits, for a device that begins anew; not to be called while one runs.
-
-        The limiters keep what they know: skin and coil do not begin anew.
-        """
+        """Forget what plays and waits, for a device that begins anew; skin and coil, and so the limiters, do not."""
         for cue in (self._cue, *self._waiting):
             if cue is not None:
                 cue.is_over = True

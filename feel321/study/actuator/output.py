@@ -1,8 +1,7 @@
 """The output of a session: plays a stimulus, stops it, and reports what was delivered. Times are on its clock, in s.
 
-A rig plays through one sink that runs for the whole session, and is opened again after a failure. A stream that was
-just opened loses its first samples on some devices, so nothing is scheduled before it has run for a while; and a device
-that runs dry, stands still or disappears is reported in the playback, not raised.
+A rig plays through one sink that runs for the whole session, and is opened again after a failure. A device that runs
+dry, stands still or disappears is reported in the playback, not raised.
 """
 
 from __future__ import annotations
@@ -54,8 +53,8 @@ if TYPE_CHECKING:
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
 
-@dataclass(slots=True)
-class Take:
+@dataclass(slots=True, kw_only=True)
+class Take(Cue):
     """One playback as the sink sees it, block by block; the callback writes it, the session reads it once it is out.
 
     latency_s: of the sink, there and back; sensor: room for what a sensor measures, shape (n, axes), if there is one.
@@ -66,7 +65,6 @@ class Take:
     latency_s: float
     held_s: float = 0.0
     sensor: Frames | None = None
-    cue: Cue | None = None
     onset_s: float | None = None
     dac_source: str = ""
     end_s: float | None = None
@@ -82,14 +80,11 @@ class Take:
         if block.has_run_dry:
             self.dry_frames.append(frame)
         self.n_sensor_gaps += block.has_lost_input
-        cue = self.cue
-        if cue is None:
-            return
-        if self.onset_s is None and cue.n_played:
-            self.onset_s = block.dac_s + (cue.onset_frame - frame) / self.rate_hz
+        if self.onset_s is None and self.n_played:
+            self.onset_s = block.dac_s + (self.onset_frame - frame) / self.rate_hz
             self.dac_source = block.dac_source
-        if self.end_s is None and cue.is_over:
-            self.end_frame = cue.onset_frame + cue.n_played if cue.n_played else frame
+        if self.end_s is None and self.is_over:
+            self.end_frame = self.onset_frame + self.n_played if self.n_played else frame
             self.end_s = block.dac_s + (self.end_frame - frame) / self.rate_hz
         if self.end_s is None:
             return
@@ -102,25 +97,16 @@ class Take:
         self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
 
     def find_underruns(self) -> list[int]:
-        """List the samples of the stimulus at which the sink ran dry; in the silence around them it spoils nothing.
-
-        What was handed over before is played to its end as a rule, but a device that begins anew may drop what it held.
-        """
-        cue, held = self.cue, round(self.held_s * self.rate_hz)
-        if cue is None or not cue.n_played:
-            return []
-        places = [frame - cue.onset_frame for frame in self.dry_frames]
-        return [min(at, cue.n_played) for at in places if 0 < at < cue.n_played + held]
+        """List the samples of the stimulus at which the sink ran dry, and may have dropped what it held."""
+        last = self.n_played and self.n_played + round(self.held_s * self.rate_hz)
+        places = (frame - self.onset_frame for frame in self.dry_frames)
+        return [min(at, self.n_played) for at in places if 0 < at < last]
 
     def record(self, samples: Frames, *, frame: int) -> None:
         """Keep what the sensor measured, shape (n, axes), since the onset's frame went out; it comes back later."""
-        if self.sensor is None or self.cue is None or self.onset_s is None:
+        if self.sensor is None or self.onset_s is None:
             return
-        first = max(self.cue.onset_frame - frame, 0)
-        if not self.n_sensed:
-            # The onset's own block may come before the session has told which cue it is.
-            self.n_sensed = frame + first - self.cue.onset_frame
-            self.sensor[: self.n_sensed] = 0
+        first = max(self.onset_frame - frame, 0)
         piece = samples[first : first + len(self.sensor) - self.n_sensed]
         self.sensor[self.n_sensed : self.n_sensed + len(piece)] = piece
         self.n_sensed += len(piece)
@@ -208,10 +194,7 @@ class Output:
     def start(
         self, stimulus: Stimulus | Tone | Scaled | str, *, gap_s: float, goes_on: bool = False
     ) -> None:
-        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped.
-
-        A dead device is opened again first, if it can be.
-        """
+        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped."""
         self._name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
         self._error = self._revive()
         sink = self._sink
@@ -221,14 +204,19 @@ class Output:
             return
         if isinstance(sink, FileSink):
             sink.begin()
-        take = Take(self._rate_hz, sink.there_and_back_s, held_s=sink.latency_s, sensor=self._room)
-        self._take = take  # before the mixer knows, so that no block is missed
-        take.cue = self._mixer.start(
+        self._take = take = Take(  # before the mixer knows, so that no block is missed
+            rate_hz=self._rate_hz,
+            latency_s=sink.there_and_back_s,
+            held_s=sink.latency_s,
+            sensor=self._room,
+        )
+        self._mixer.start(
             self._name,
             gap_s=gap_s,
             scale=stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0,
             goes_on=goes_on,
             lead_s=self.lead_s,
+            cue=take,
         )
         ahead_s = sink.compare_clocks()
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
@@ -236,10 +224,9 @@ class Output:
             self._trigger.watch(partial(self._find_onset, take))
 
     def _find_onset(self, take: Take) -> float | None:
-        """Find when a vibration begins, on the session's clock; None while that is not known."""
-        if take.onset_s is None or take.cue is None:
+        if take.onset_s is None:
             return None
-        return take.onset_s + self._clock_ahead_s + take.cue.lead_frames / self._rate_hz
+        return take.onset_s + self._clock_ahead_s + take.lead_frames / self._rate_hz
 
     @property
     def is_playing(self) -> bool:
@@ -257,10 +244,9 @@ class Output:
         return not self._error
 
     def stop(self) -> None:
-        """Fall silent with the next block that the sink asks for; the stimulus is then not completed.
+        """Fall silent with the next block that the sink asks for.
 
-        What a device holds, it still plays: `latency_s` of rig.toml and a block. To throw that away would be a knock on
-        the skin, a click in the ears, and a device that begins anew. `stop_s` in the playback is how long it took.
+        What a device holds, it still plays: to throw that away would be a knock on the skin, and begin the device anew.
         """
         self._stopped_s = self._stopped_s or self._clock()
         self._mixer.stop()
@@ -270,22 +256,21 @@ class Output:
         if self.is_playing and self._stopped_s is None:
             raise ValueError("the playback still plays; stop it, or wait until is_playing is False")
         take = self._take
-        if take is None or take.cue is None:
+        if take is None:
             error = self._error or "nothing was started"
             return Playback(self._requested_s, None, completed=False, error=error)
-        cue, onset_s = take.cue, self._find_onset(take)
         self.captured = self._capture(take)
-        measured, sha256 = self._describe_take(take, cue), ""
+        measured, sha256 = self._describe_take(take), ""
         if self.captured is not None and self._folder is not None:
             try:
                 number, sha256 = _write_numbered(self._folder, self.captured, self._rate_hz)
                 measured["file_number"] = float(number)
             except OSError as problem:
                 self._error = self._error or str(problem)
-        is_completed = cue.is_complete and take.is_out
+        is_completed = take.is_complete and take.is_out
         underruns = take.find_underruns()
         is_whole = is_completed and not underruns and not take.n_sensor_gaps
-        fault, notice, delivered = self._compare(cue) if is_whole else ("", "", {})
+        fault, notice, delivered = self._compare(take) if is_whole else ("", "", {})
         if self._trigger is not None:
             self._trigger.leave()
             notice = notice or self._trigger.error  # the hand got what was asked
@@ -293,9 +278,9 @@ class Output:
                 measured["trigger_s"] = self._trigger.sent_s
         return Playback(
             requested_s=self._requested_s,
-            onset_s=onset_s,
+            onset_s=self._find_onset(take),
             underruns=len(underruns),
-            clipped=cue.clipped,
+            clipped=take.clipped,
             completed=is_completed,
             error=self._error,
             measured=measured,
@@ -306,23 +291,22 @@ class Output:
             notice=notice,
         )
 
-    def _compare(self, cue: Cue) -> tuple[str, str, Mapping[str, float]]:
+    def _compare(self, take: Take) -> tuple[str, str, Mapping[str, float]]:
         """Compare a whole playback with what was asked: what is wrong with the rig, and what the hand got."""
         if self._check is None:
             return "", "", {}
         sensed = None if self._room is None else self.captured
         keeps_latency = self._n_dry == self._n_dry_before
         self._n_dry_before = self._n_dry
-        wrong = self._check.diagnose(cue.sound, sensed, keeps_latency=keeps_latency)
-        if cue.scale != 1:  # the level is the set's
+        wrong = self._check.diagnose(take.sound, sensed, keeps_latency=keeps_latency)
+        if take.scale != 1:  # the level is the set's
             return *wrong, {}
-        return *wrong, self._check.describe(self._name, cue.sound, sensed)
+        return *wrong, self._check.describe(self._name, take.sound, sensed)
 
     def _capture(self, take: Take) -> Frames | None:
         """Take what was recorded: by a file from the start on, by a sensor from the frame in which the onset was sent.
 
-        So the onset stands at the same sample in all recordings of a session; the times that devices give of their
-        input were seen to be wrong by 10 ms and, at a stream's begin, 0.4 s.
+        The times that devices give of their input were seen to be wrong by 10 ms and, at a stream's begin, 0.4 s.
         """
         if isinstance(self._sink, FileSink):
             return np.concatenate(self._sink.blocks).T
@@ -331,12 +315,11 @@ class Output:
         scale = np.float32(self._rig.sensor.full_scale_m_s2)
         return np.asarray(take.sensor[: take.n_sensed].T * scale)
 
-    def _describe_take(self, take: Take, cue: Cue) -> dict[str, float]:
-        """Count the samples that were played, and those left out before; on a device, times too."""
-        own: dict[str, float | None] = {"n_samples": cue.n_played}
-        own["first_sample"] = cue.first_frame or None
+    def _describe_take(self, take: Take) -> dict[str, float]:
+        own: dict[str, float | None] = {"n_samples": take.n_played}
+        own["first_sample"] = take.first_frame or None
         if not self._is_file:
-            underruns, was_cut = take.find_underruns(), 0 < cue.n_played < len(cue.sound)
+            underruns, was_cut = take.find_underruns(), 0 < take.n_played < len(take.sound)
             own |= {
                 "callback_ms_max": take.longest_s * 1e3,
                 "latency_s": take.held_s,

@@ -88,11 +88,7 @@ def render_stimulus(
     full_scale_m_s2: float,
     certificate: Certificate | None = None,
 ) -> Frames:
-    """Render one stimulus for a rig, as samples of shape (n_samples, channels).
-
-    Where study and actuator have the same full scale, the samples are those of the file times the coil's weight. With a
-    certificate they are at the measured full scale and go through the coils' filters, which makes them longer.
-    """
+    """Render one stimulus for a rig, as samples of shape (n_samples, channels), by a certificate with its filters."""
     samples, rate_hz = read_wav(folder / stimulus.file)
     tracks, mix = np.atleast_2d(samples), find_mix(rig)
     if tracks.shape[1] != stimulus.n_samples or rate_hz != stimulus.rate_hz:
@@ -150,10 +146,7 @@ def make_tone(frequency_hz: float, *, duration_s: float, rate_hz: float) -> Vect
 def render_tones(
     block: ThresholdBlock, rig: Rig, *, rate_hz: float, certificate: Certificate | None = None
 ) -> dict[str, Frames]:
-    """Render the tone of each frequency for a rig, by name, shape (n_samples, channels), for 1 m/s² RMS at the hand.
-
-    A silent interval is the same tone times 0: masking noise and sync pulse are those of an interval that vibrates.
-    """
+    """Render the tone of each frequency for a rig, by name, shape (n_samples, channels), for 1 m/s² RMS at the hand."""
     sounds, mix = {}, find_mix(rig)
     for frequency in block.frequencies_hz:
         tone = make_tone(frequency, duration_s=block.duration_s, rate_hz=rate_hz)

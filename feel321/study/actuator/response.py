@@ -101,7 +101,7 @@ class Response:
     cross_talk_db: float
 
     def find_deviation_db(self, *, target: float, band_hz: Band) -> Samples:
-        """Find how far it is from a target (m/s² per full scale) in a band, shape (k,)."""
+        """Find how far it is from a target in a band, shape (k,)."""
         inside = find_inside(self.frequency_hz, band_hz=band_hz)
         size = np.maximum(np.abs(self.response[inside]), TINY)
         return np.asarray(20 * np.log10(size / target))
@@ -192,8 +192,8 @@ def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = Non
 def find_latency(response: Spectrum, *, inside: NDArray[np.bool_]) -> tuple[int, int]:
     """Find the latency in whole samples, and the polarity (1 or -1), of a response from 0 to half the rate.
 
-    A coil is a minimum-phase filter, whose phase follows from its magnitude; what phase is left is delay. Its
-    phases are summed with equal weight over the band (Knapp & Carter's phase transform), and the peak is the delay.
+    A coil is a minimum-phase filter, whose phase follows from its magnitude; what phase is left is delay, whose pulse
+    Knapp & Carter's phase transform makes.
     """
     bins = np.log(np.maximum(np.arange(len(response)), 1))
     log_magnitude = np.log(np.maximum(np.abs(response), TINY))
@@ -295,11 +295,7 @@ def make_inverse(
 
 
 def find_slip(recorded: Samples, sweep: Sweep) -> int:
-    """Find by how many samples later sweeps are out of step with the first one, at most; 0 where noise hides it.
-
-    Over the whole band by the phase transform; and by the phase of each third octave, because samples may be lost while
-    the sweep passes through it.
-    """
+    """Find by how many samples later sweeps are out of step with the first one, at most; 0 where noise hides it."""
     periods = recorded.reshape(len(recorded), sweep.n_repeats, sweep.period)
     spectra = fft.rfft(periods, axis=-1)
     frequency_hz = fft.rfftfreq(sweep.period, 1 / sweep.rate_hz)
@@ -314,6 +310,7 @@ def find_slip(recorded: Samples, sweep: Sweep) -> int:
         average_thirds(one, frequency_hz, band_hz=sweep.band_hz)
         for one in (cross, np.sqrt(energy[1:] * energy[:1]), frequency_hz)
     )
+    # Samples may be lost while the sweep passes through a third octave, whose phase then differs.
     turned = np.abs(np.angle(together)) * (np.abs(together) > ALIVE * size)
     lost = turned * (turned > MOST_TURNED) / (2 * math.pi * middle_hz) * sweep.rate_hz
     slip = max(int(lags.max()), round(float(lost.max())))
@@ -321,7 +318,7 @@ def find_slip(recorded: Samples, sweep: Sweep) -> int:
 
 
 def average_thirds(values: Samples, frequency_hz: Samples, *, band_hz: Band) -> Samples:
-    """Average values, shape (..., k), in third octaves of a band; empty ones are left out."""
+    """Average values, shape (..., k), in the third octaves of a band that are not empty."""
     low, high = band_hz
     n_bands = max(round(3 * math.log2(high / low)), 1)
     number = np.floor(n_bands * np.log(np.maximum(frequency_hz, 1e-9) / low) / math.log(high / low))

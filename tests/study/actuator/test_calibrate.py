@@ -434,7 +434,7 @@ def test_what_is_proposed_and_what_it_costs_is_said_before_it_is_written(
 
 
 def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
-    sweep = module.make_main(rig, rate_hz=RATE_HZ, peak=0.5)
+    sweep, _ = module.make_sweeps(rig, rate_hz=RATE_HZ, peak=0.5)
     sent = make_sweep(sweep)
     noise = np.random.default_rng(1).standard_normal((3, len(sent)))
     whole = np.outer([1.0, 0.5, 0.0], sent) + 0.01 * noise

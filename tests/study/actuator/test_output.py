@@ -25,7 +25,6 @@ from feel321.study.actuator.device import (
     list_devices,
     open_port,
 )
-from feel321.study.actuator.mixer import Cue
 from feel321.study.actuator.output import SENSOR_TAIL_S, Output, Take
 from feel321.study.actuator.rig import (
     ActuatorTable,
@@ -110,15 +109,14 @@ TAKE_HZ = 1000.0
 DELAY_S = 0.25  # from a block to its sound
 
 
-def run(take: Take, cue: Cue, *, onset: int, blocks: int = 20, **faults: Any) -> int:
-    """Play a cue in blocks as a mixer would; give the number of the block with which all was out."""
-    take.cue = cue
+def run(take: Take, *, onset: int, blocks: int = 20, **faults: Any) -> int:
+    """Play in blocks as a mixer would; give the number of the block with which all was out."""
     for number in range(blocks):
         frame, now_s = number * N, 5 + number / 10
         if frame + N > onset:
-            cue.onset_frame = onset
-            cue.n_played = min(frame + N - onset, len(cue.sound))
-            cue.is_over = cue.is_complete
+            take.onset_frame = onset
+            take.n_played = min(frame + N - onset, len(take.sound))
+            take.is_over = take.is_complete
         known = {name: number in numbers for name, numbers in faults.items()}
         take.add_block(BlockTimes(now_s, now_s + DELAY_S, **known), frame=frame)
         take.record(np.arange(frame, frame + N, dtype=np.float32)[:, None], frame=frame)
@@ -127,18 +125,15 @@ def run(take: Take, cue: Cue, *, onset: int, blocks: int = 20, **faults: Any) ->
     return blocks
 
 
-@pytest.fixture
-def cue() -> Cue:
-    return Cue(np.zeros((150, 1), dtype=np.float32), gap_frames=0)
+def make_take(room: int = 0) -> Take:
+    sensor = np.full((room, 1), 9, dtype=np.float32) if room else None
+    own = {"rate_hz": TAKE_HZ, "latency_s": DELAY_S, "held_s": DELAY_S, "sensor": sensor}
+    return Take(sound=np.zeros((150, 1), dtype=np.float32), **own)
 
 
-def make_take(n: int = 1000) -> Take:
-    return Take(TAKE_HZ, DELAY_S, sensor=np.full((n, 1), 9, dtype=np.float32))
-
-
-def test_onset_end_and_faults_are_known_to_the_sample_until_all_is_out(cue: Cue) -> None:
-    take = Take(TAKE_HZ, DELAY_S, held_s=DELAY_S)
-    out = run(take, cue, onset=230, has_run_dry={1, 3, 6, 9}, has_lost_input={2})
+def test_onset_end_and_faults_are_known_to_the_sample_until_all_is_out() -> None:
+    take = make_take()
+    out = run(take, onset=230, has_run_dry={1, 3, 6, 9}, has_lost_input={2})
     assert take.onset_s == pytest.approx(5.23 + DELAY_S)
     assert take.end_s == pytest.approx(5.38 + DELAY_S)
     assert 5 + out / 10 >= take.end_s > 5 + (out - 1) / 10
@@ -148,10 +143,10 @@ def test_onset_end_and_faults_are_known_to_the_sample_until_all_is_out(cue: Cue)
 
 @pytest.mark.parametrize(("room", "last"), [(1000, None), (120, 350)])
 def test_the_sensor_is_kept_from_the_onsets_frame_until_the_ringing_is_over(
-    cue: Cue, room: int, last: int | None
+    room: int, last: int | None
 ) -> None:
     take = make_take(room)
-    out = run(take, cue, onset=230)
+    out = run(take, onset=230)
     assert take.sensor is not None
     assert_array_equal(
         take.sensor[: take.n_sensed, 0], np.arange(230, (out + 1) * N if last is None else last)
