@@ -30,7 +30,7 @@ TOTAL = 4
 
 INTERRUPTED = "feel321: interrupted; what is done is kept, the same command continues"
 
-STREAM = "pulse"
+STREAM = "stylus"
 """The device of the private PulseAudio as PortAudio lists it."""
 
 
