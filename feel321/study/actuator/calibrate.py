@@ -61,6 +61,7 @@ LEAST_BAND = 0.8  # of the octaves that were asked, for a coil to pass
 SPARE_DB = 1.0  # by which a proposed gain exceeds what the response asks for
 DAMAGED = (zipfile.BadZipFile, zlib.error)
 KEPT = timedelta(days=1)  # for so long a coil need not be measured again
+Coils = Mapping[str, CoilCertificate]
 
 
 def make_sweeps(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> tuple[Sweep, Sweep]:
@@ -90,11 +91,8 @@ def find_safe(rig: Rig, probe: Response) -> float:
     rise = np.clip((log_hz - math.log(probe.band_hz[0] / BELOW)) / math.log(BELOW), 0, 1)
     fall = np.clip((math.log(probe.band_hz[1] * ABOVE) - log_hz) / math.log(ABOVE), 0, 1)
     ramp = np.sin(math.pi / 2 * rise) ** 2 * np.sin(math.pi / 2 * fall) ** 2
-    allowed = min(
-        rig.limits.peak_m_s2,
-        math.sqrt(2) * rig.limits.rms_m_s2,
-        require_sensor(rig).full_scale_m_s2,
-    )
+    limits = [rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2]
+    allowed = min(*limits, require_sensor(rig).full_scale_m_s2)
     return MARGIN * allowed / float((np.abs(probe.response) * ramp).max())
 
 
@@ -109,9 +107,7 @@ class CoilRun(Response):
     made: str
 
 
-def measure_coil(
-    bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, made: datetime
-) -> CoilRun:
+def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, made: str) -> CoilRun:
     """Play sweeps of rising level on one coil."""
     rig, rate_hz = bench.rig, bench.rate_hz
     level = rig.calibration.level * find_allowed(rig, actuator)
@@ -148,7 +144,7 @@ def measure_coil(
         linearity_db=np.array([compare_db(one) for one in (*ladder, main)]),
         repeats_db=float(np.median(repeated_db.std(axis=0, ddof=1))),
         noise_m_s2=noise_m_s2,
-        made=made.isoformat(),
+        made=made,
     )
 
 
@@ -184,13 +180,11 @@ def propose_band(rig: Rig, response: Response) -> tuple[Band, float]:
     ends_hz = response.frequency_hz[edges.reshape(-1, 2) - [0, 1]]
     low, high = max(ends_hz, key=lambda one: float(one[1] / one[0]))
     first, last = response.frequency_hz[inside][[0, -1]]
-    band_hz = (
-        own.band_hz[0] if low == first else float(low),
-        own.band_hz[1] if high == last else float(high),
-    )
-    inside = find_inside(response.frequency_hz, band_hz=band_hz)
+    low = own.band_hz[0] if low == first else float(low)
+    high = own.band_hz[1] if high == last else float(high)
+    inside = find_inside(response.frequency_hz, band_hz=(low, high))
     needed_db = DB * math.log(float(np.median(size[inside]) / size[inside].min()))
-    return band_hz, min(needed_db + SPARE_DB, MOST_GAIN_DB)
+    return (low, high), min(needed_db + SPARE_DB, MOST_GAIN_DB)
 
 
 def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertificate:
@@ -285,9 +279,7 @@ def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertif
     return judge_filter(rig, coil, run=run, after=after, is_measured=True)
 
 
-def measure_latencies(
-    bench: Bench, coils: Mapping[str, CoilCertificate]
-) -> dict[str, CoilCertificate]:
+def measure_latencies(bench: Bench, coils: Coils) -> dict[str, CoilCertificate]:
     """Measure the latencies of all coils in one recording: a device that ran dry goes on with another latency."""
     _, quiet = make_sweeps(bench.rig, rate_hz=bench.rate_hz)
     turn, n_coils, once = quiet.period, len(coils), make_sweep(quiet)[: quiet.period]
@@ -390,7 +382,8 @@ class Calibration:
             noise_m_s2 = float(np.linalg.norm(bench.play({}, n=n_silent).std(axis=1)))
             for actuator in (one for one in rig.actuators if one.name not in runs):
                 with _named(actuator.name):
-                    run = measure_coil(bench, actuator, noise_m_s2=noise_m_s2, made=self.made)
+                    made = self.made.isoformat()
+                    run = measure_coil(bench, actuator, noise_m_s2=noise_m_s2, made=made)
                 path, buffer = name_run(self.folder, rig, actuator), io.BytesIO()
                 known: dict[str, Any] = {one.name: getattr(run, one.name) for one in fields(run)}
                 np.savez_compressed(buffer, allow_pickle=False, **known)
@@ -449,7 +442,7 @@ class Calibration:
             raise KeyboardInterrupt
         return coils
 
-    def _certify(self, coils: Mapping[str, CoilCertificate]) -> Certificate:
+    def _certify(self, coils: Coils) -> Certificate:
         found = begin_certificate(
             self.rig, coils, method=MEASURED, made=self.made, rate_hz=self.rate_hz
         )

@@ -142,7 +142,6 @@ class Certificate:
     rate_hz: Positive
     band_hz: Band
     coils: Annotated[Mapping[str, CoilCertificate], Field(min_length=1)]
-    device: str = ""
     sensor: SensorTable | None = None
     settings: Mapping[str, Any]
     failures: tuple[str, ...] = ()
@@ -230,7 +229,6 @@ def begin_certificate(
         rate_hz=rate_hz,
         band_hz=settings.band_hz,
         coils=coils,
-        device=rig.device.name,
         sensor=rig.sensor if method == MEASURED else None,
         settings=settings.model_dump(mode="json"),
     )
@@ -252,9 +250,8 @@ def make_manual(
             f"{', '.join(map(repr, wrong))}"
         )
     if wrong := [name for name, gain in gains.items() if not 0 < gain < math.inf]:
-        raise ValueError(
-            f"manual gain of {wrong[0]!r} must be positive m/s² per full scale, got {gains[wrong[0]]:g}"
-        )
+        got = f"{gains[wrong[0]]:g}"
+        raise ValueError(f"gain of {wrong[0]!r} must be positive m/s² per full scale, got {got}")
     unknown, db = np.full(2, np.nan), rig.calibration.gain_uncertainty_db
     coils = {
         actuator.name: CoilCertificate(
@@ -299,9 +296,7 @@ def read_certificate(path: Path) -> Certificate:
             entry = json.loads(path.read_text(encoding="utf-8"))
             is_sealed = entry["sha256"] == _seal(entry)
         except (ValueError, KeyError, TypeError, RecursionError):
-            raise ValueError(
-                "not a certificate as calibrate writes them; calibrate again"
-            ) from None
+            raise ValueError("not a certificate of calibrate's; calibrate again") from None
         if not is_sealed:
             raise ValueError("was changed after it was written; restore it, or calibrate again")
         try:

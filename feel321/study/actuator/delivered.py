@@ -17,7 +17,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import fft, signal
 
 from feel321.stimuli.condition import resample
@@ -89,7 +88,7 @@ def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
         lag=lag,
         polarity=polarity,
         level_error_db=max(float(level_db), LOWEST_DB),
-        coherence=float(coherent / whole) if whole > 0 else 0.0,
+        coherence=coherent / whole if whole > 0 else 0.0,
         rms_m_s2=float(np.sqrt(np.mean(np.square(measured).sum(axis=0)))),
         error=_cut(felt - asked, 0, n),
     )
@@ -113,9 +112,7 @@ def _cut(measured: Samples, lag: int, n: int) -> Samples:
     return np.pad(piece, ((0, 0), (0, n - piece.shape[-1])))
 
 
-def _find_power(
-    asked: Samples, felt: Samples, *, rate_hz: float
-) -> tuple[np.float64, np.float64, np.float64]:
+def _find_power(asked: Samples, felt: Samples, *, rate_hz: float) -> tuple[float, float, float]:
     """Sum over axes and the band: power asked, power that follows what was asked, and all power measured."""
     n = min(round(SEGMENT_S * rate_hz), 2 * asked.shape[-1] // (LEAST_SEGMENTS + 1))
     band_hz = (LOWEST_HZ, HIGHEST_HZ)
@@ -132,7 +129,7 @@ def _find_power(
     sxx, syy = (np.square(np.abs(one)).sum(axis=1) for one in (x, y))
     sxy = (x.conj() * y).sum(axis=1)
     followed = np.square(np.abs(sxy)) / np.maximum(sxx, TINY)
-    return sxx.sum(), followed.sum(), syy.sum()
+    return float(sxx.sum()), float(followed.sum()), float(syy.sum())
 
 
 def _limit(samples: Samples, rate_hz: float, *, band_hz: Band) -> Samples:
@@ -234,29 +231,27 @@ class DeliveryCheck:
         self._predicted: dict[str, dict[str, float]] = {}
         self._own = {stimulus.stimulus_id for stimulus in stimuli}
 
-    def describe(
-        self, stimulus_id: str, sent: Frames, measured: ArrayLike | None
-    ) -> Mapping[str, float]:
+    def describe(self, stimulus_id: str, sent: Frames, sensed: Frames | None) -> dict[str, float]:
         """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted."""
         if stimulus_id not in self._own:  # a tone of the threshold block
             return {}
-        if measured is not None:
-            return self.measure(stimulus_id, np.asarray(measured, dtype=np.float64))
+        if sensed is not None:
+            return self.measure(stimulus_id, np.asarray(sensed, dtype=np.float64))
         if self._certificate is not None and stimulus_id not in self._predicted:
             moved = self._certificate.predict(sent)
             self._predicted[stimulus_id] = self._compare(stimulus_id, moved)[1]
         return self._predicted.get(stimulus_id, {})
 
     def diagnose(
-        self, sent: Frames, measured: ArrayLike | None, *, keeps_latency: bool
+        self, sent: Frames, sensed: Frames | None, *, keeps_latency: bool
     ) -> tuple[str, str]:
         """Name what is wrong with the rig by a whole playback: what spoils it, or else what is only to be told."""
         diagnosis = self._diagnosis
-        if diagnosis is None or measured is None:
+        if diagnosis is None or sensed is None:
             return "", ""
         if not keeps_latency:  # the device had a break since the last one
             diagnosis.lag = None
-        found = diagnosis.judge(sent, np.asarray(measured, dtype=np.float64))
+        found = diagnosis.judge(sent, np.asarray(sensed, dtype=np.float64))
         return (found, "") if diagnosis.is_grave else ("", found)
 
     def measure(self, stimulus_id: str, measured: Samples) -> dict[str, float]:

@@ -122,16 +122,14 @@ def refresh_devices() -> None:
     """Let PortAudio look for devices anew: it lists those that it found when it was loaded. No stream may be open."""
     sounddevice = _load()
     try:
-        with (
-            _silence_stderr()
-        ):  # sounddevice offers no other way (its documentation names this one)
+        with _silence_stderr():
+            # sounddevice offers no other way (its documentation names this one).
             with suppress(sounddevice.PortAudioError):  # where it could not begin the last time
                 sounddevice._terminate()
             sounddevice._initialize()
     except sounddevice.PortAudioError as error:
-        raise OSError(
-            f"device: PortAudio does not start ({error}); check the sound system, then resume"
-        ) from None
+        why = f"PortAudio does not start ({error})"
+        raise OSError(f"device: {why}; check the sound system, then resume") from None
 
 
 def _load() -> ModuleType:

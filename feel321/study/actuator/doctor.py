@@ -16,9 +16,10 @@ from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.faults import (
     RATES,
     Diagnosis,
-    describe_rate,
+    describe_hum,
     find_hum,
     find_sensor_fault,
+    name_rate,
 )
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
@@ -45,9 +46,7 @@ def survey_devices() -> list[dict[str, Any]]:
     """List the devices, and the rates at which each would play."""
     devices = list_devices()
     if not devices:
-        raise OSError(
-            'doctor: no audio device found; plug one in, or play to files: name = "file" in rig.toml'
-        )
+        raise OSError('doctor: no audio device found; plug one in, or take the device "file"')
     return [
         {
             "name": device.name,
@@ -106,9 +105,8 @@ def _describe_delays(name: str, delays_ms: Sequence[float]) -> dict[str, float |
         middle = float(np.median(delays_ms))
         apart = np.abs(np.asarray(delays_ms) - middle)
         found = [middle, *map(float, np.percentile(apart, [50, 99]))]
-    return dict(
-        zip((f"{name}_ms", f"{name}_jitter_ms", f"{name}_jitter_99_ms"), found, strict=True)
-    )
+    ends = ("ms", "jitter_ms", "jitter_99_ms")
+    return {f"{name}_{end}": value for end, value in zip(ends, found, strict=True)}
 
 
 def make_pulse(rig: Rig, *, rate_hz: float, seconds: float = PULSE_S) -> Frames:
@@ -198,7 +196,7 @@ def _find_hum(silence: Samples, *, rate_hz: float) -> str:
     whole = float(np.sqrt(np.mean(np.square(still).sum(axis=0))))
     if rms < AUDIBLE * math.sqrt(max(whole**2 - rms**2, 0.0)):
         return ""
-    return f"hum of {hum_hz:.0f} Hz, {rms:.2g} m/s²: a ground loop, or cables beside the mains"
+    return describe_hum(hum_hz, rms)
 
 
 def _describe(seen: Response | None) -> dict[str, Any]:
@@ -251,9 +249,8 @@ def _find_turned(rig: Rig, actuator: ActuatorTable, seen: Samples) -> str:
     others = {name: abs(float(seen @ one)) for name, one in typed.items()}
     moved = [name for name, along in others.items() if along > SHARED]
     if len(moved) == 1 and others[moved[0]] > LIKELY:
-        return (
-            f"{actuator.name} and {moved[0]} swapped, or on one channel: its probe moves {moved[0]}"
-        )
+        other = moved[0]
+        return f"{actuator.name} and {other} swapped, or on one channel: its probe moves {other}"
     if moved and abs(seen @ own) < SHARED:
         return (
             f"dead, its samples move {' and '.join(moved)}: the sink lacks channel {actuator.channel}; give it as many "
@@ -275,4 +272,4 @@ def _find_rate(sent: Samples, recorded: Samples, *, rate_hz: float) -> str:
         return float(np.abs(cross).max()) / max(size * float(np.linalg.norm(played)), 1e-30)
 
     best = max((1.0, *RATES), key=liken)
-    return "" if best == 1 or liken(best) < 2 * liken(1.0) else describe_rate(best, rate_hz)
+    return "" if best == 1 or liken(best) < 2 * liken(1.0) else name_rate(best, rate_hz)

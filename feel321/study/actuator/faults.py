@@ -212,9 +212,7 @@ class Scene:
             power = max(power, 2 * energy(self.transform(quiet)) / self.n_grid / n_quiet)
         return float(np.nan_to_num(power) * self.n * self.n_grid / 2)
 
-    def find_left(
-        self, measured: Samples, lines_hz: Sequence[float] = ()
-    ) -> tuple[Samples, Samples]:
+    def find_left(self, measured: Samples, lines_hz: Sequence[float]) -> tuple[Samples, Samples]:
         """Find what of the measured axes, (3, n), no linear response explains, and the lines beside it."""
         n = measured.shape[1]
         turns = 2 * np.pi * np.outer(lines_hz, np.arange(n) / self.rate_hz)
@@ -309,7 +307,7 @@ class Diagnosis:
             return fault
         measured = measured - measured.mean(axis=1, keepdims=True)
         scene = Scene(self.certificate, sent, measured)
-        left, hum = scene.find_left(measured)
+        left, hum = scene.find_left(measured, [])
         # Harmonics of what was asked at 25 or 30 Hz are no hum.
         least = max(HUM_SHARE, *self._distorts.values())
         hum_hz = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured) * least / HUM_SHARE)
@@ -323,9 +321,7 @@ class Diagnosis:
         is_within = all(map(self._is_within, self.motions.values()))
         self.is_grave = bool(found) and (is_swapped or not is_within)
         if hum_hz and scene.follows > FOLLOWS and not is_swapped:
-            found.append(
-                f"hum of {hum_hz:.0f} Hz, {_rms(hum):.2g} m/s²: a ground loop, or cables beside the mains"
-            )
+            found.append(describe_hum(hum_hz, _rms(hum)))
         return "; ".join(found)
 
     def _find_motion(self, scene: Scene, name: str) -> Motion:
@@ -382,12 +378,11 @@ class Diagnosis:
         """Name a converter that runs at another rate; else what is known, or nothing if most follows."""
         if scene.follows >= CLOSELY:
             return ""
-        others = {
-            rate: Scene(self.certificate, sent, measured, rate=rate).follows for rate in RATES
-        }
+        own = self.certificate
+        others = {rate: Scene(own, sent, measured, rate=rate).follows for rate in RATES}
         rate = max(others, key=others.__getitem__)
         if others[rate] > FOLLOWS and 1 - others[rate] < BETTER * (1 - scene.follows):
-            return describe_rate(rate, scene.rate_hz)
+            return name_rate(rate, scene.rate_hz)
         return _describe_unknown(self.motions.values()) if scene.follows < FOLLOWS else ""
 
     def _find_swap(self, scene: Scene) -> str:
@@ -466,11 +461,15 @@ def _describe_unknown(motions: Iterable[Motion]) -> str:
     return f"unknown cause, and the figures are: {', '.join(one.describe() for one in motions)}"
 
 
-def describe_rate(rate: float, rate_hz: float) -> str:
+def name_rate(rate: float, rate_hz: float) -> str:
     """Name the rate of a converter over that of the samples."""
-    return (
-        f"wrong rate: played at {rate * rate_hz:.0f} Hz instead of {rate_hz:.0f} Hz; set the device"
-    )
+    rates = f"{rate * rate_hz:.0f} Hz instead of {rate_hz:.0f} Hz"
+    return f"wrong rate: played at {rates}; set the device"
+
+
+def describe_hum(hum_hz: float, rms: float) -> str:
+    """Name a hum and where it comes from."""
+    return f"hum of {hum_hz:.0f} Hz, {rms:.2g} m/s²: a ground loop, or cables beside the mains"
 
 
 def _rms(motion: Samples) -> float:

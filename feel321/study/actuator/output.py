@@ -20,25 +20,10 @@ import numpy as np
 
 from feel321.files import make_folder, write_bytes
 from feel321.stimuli.wav import encode_wav
-from feel321.study.actuator.device import (
-    BlockTimes,
-    DeviceStream,
-    SessionClock,
-    Sink,
-    Trigger,
-    join,
-    refresh_devices,
-)
+from feel321.study.actuator.device import DeviceStream, Sink, Trigger, join, refresh_devices
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.response import Sweep, find_slip
-from feel321.study.actuator.rig import (
-    FILE_DEVICE,
-    SIMULATED_DEVICE,
-    Rig,
-    advise_latency,
-    identify,
-    require_sensor,
-)
+from feel321.study.actuator.rig import Rig, advise_latency, identify, require_sensor
 from feel321.study.actuator.simulated import FileSink, SimulatedStream
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
@@ -48,6 +33,7 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.delivered import DeliveryCheck
+    from feel321.study.actuator.device import BlockTimes, SessionClock
     from feel321.types import Samples
 
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
@@ -118,7 +104,7 @@ REVIVING_S = 8.0  # longest wait of a start for a dead device; it may well come 
 BEYOND_S = 5.0  # longest recording of the sensor beyond the stimulus; two latencies of 2 s fit in
 LOOK_S = 0.005  # between two looks at a sink that is waited for
 # Sinks by the name of the device; every other name is an audio device's.
-SINKS: Mapping[str, type[Sink]] = {FILE_DEVICE: FileSink, SIMULATED_DEVICE: SimulatedStream}
+SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, SimulatedStream)}
 
 
 class Output:
@@ -143,7 +129,7 @@ class Output:
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
         self._check, self._name = check, ""
-        self._is_file = rig.device.name == FILE_DEVICE
+        self._is_file = rig.device.name == FileSink.name
         self._preroll_s = 0.0 if self._is_file else PREROLL_S + 2 * rig.device.latency_s
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=self._preroll_s)
         self._trigger = Trigger(rig.trigger, clock) if rig.trigger is not None else None
@@ -422,9 +408,7 @@ class Bench:
                 sleep(0.002)
             played, recorded = self.output.collect(), self.output.captured
             if played.error or recorded is None or recorded.shape[1] < n:
-                raise OSError(
-                    played.error or "the sensor's input gave too few samples; check its device"
-                )
+                raise OSError(played.error or "the sensor's input gave too few samples; check it")
             if played.completed and not played.underruns + played.measured["sensor_gaps"]:
                 break
         else:
@@ -452,8 +436,9 @@ class Bench:
 
     def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
         """Play sweeps, shape (n,), until their recordings are in step."""
+        n = len(sent)
         return self.insist(
-            lambda: self.play({channel: sent}, n=len(sent)), lambda found: find_slip(found, sweep)
+            lambda: self.play({channel: sent}, n=n), lambda got: find_slip(got, sweep)
         )
 
     def insist(self, play: Callable[[], Samples], slip_of: Callable[[Samples], int]) -> Samples:

@@ -30,12 +30,10 @@ CANCELLED = 0.05  # motions that sum to less than this share of one coil's cance
 
 def find_mix(rig: Rig) -> dict[str, dict[str, float]]:
     """Find each actuator's factor on each of its sources: name -> `reduced`, `x`, `y`, `z` -> factor."""
-    directions, unknown = find_directions(rig)
+    directions, _ = find_directions(rig)
     shares = dict.fromkeys((REDUCED, *AXES), 1.0)
     for source in shares if all(one.direction is not None for one in rig.actuators) else ():
-        names = [
-            one.name for one in rig.actuators if source in one.plays and one.name not in unknown
-        ]
+        names = [one.name for one in rig.actuators if source in one.plays]
         length = float(np.linalg.norm(np.sum([directions[name] for name in names], axis=0)))
         if names and length < CANCELLED:
             raise ValueError(
@@ -97,9 +95,8 @@ def render_stimulus(
             f"at {stimulus.rate_hz:g}; build the set again"
         )
     if len(tracks) not in {1, len(AXES)}:
-        raise ValueError(
-            f"{stimulus.file}: must have 1 or {len(AXES)} channels, got {len(tracks)}; build it again"
-        )
+        got = len(tracks)
+        raise ValueError(f"{stimulus.file}: must have 1 or 3 channels, got {got}; build it again")
     check_finite(tracks, stimulus.file)
     own = dict(zip((REDUCED,) if len(tracks) == 1 else AXES, tracks, strict=True))
     if missing := set(own).difference(*mix.values()):
@@ -210,9 +207,8 @@ def find_tone_problems(
     worst: dict[tuple[str, str], float] = {}
     for sound in render_tones(block, rig, rate_hz=rate_hz, certificate=certificate).values():
         loud = strongest * sound.astype(np.float64)
-        for actuator, limit, asked in _find_excesses(
-            rig, loud, rate_hz=rate_hz, certificate=certificate
-        ):
+        found = _find_excesses(rig, loud, rate_hz=rate_hz, certificate=certificate)
+        for actuator, limit, asked in found:
             worst[actuator, limit] = max(asked, worst.get((actuator, limit), 0.0))
     for (actuator, limit), asked in worst.items():
         key = "duration_s" if "duration_s" in limit else "highest_db"

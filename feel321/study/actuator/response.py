@@ -59,9 +59,8 @@ class Sweep:
         if self.n_repeats < 2:  # noqa: PLR2004 - coherence is 1 for one sweep, whatever was recorded
             raise ValueError(f"n_repeats must be 2 or more for coherence, got {self.n_repeats}")
         if self.time_constant_s <= 0 or self.pause_s <= 0:
-            raise ValueError(
-                f"duration_s and pause_s must be longer, got {self.duration_s} and {self.pause_s}"
-            )
+            got = f"{self.duration_s} and {self.pause_s}"
+            raise ValueError(f"duration_s and pause_s must be longer, got {got}")
 
     @property
     def ends_hz(self) -> Band:
@@ -155,9 +154,7 @@ def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = Non
     """
     asked, axes = make_sweep(sweep) if sent is None else sent, np.atleast_2d(recorded)
     if not (np.isfinite(axes).all() and axes.any()):
-        raise ValueError(
-            "recorded samples must be finite and not all 0; check that the sensor is connected"
-        )
+        raise ValueError("recorded samples must be finite and not all 0; check the sensor")
 
     def average(x: Samples, y: Samples) -> tuple[Samples, Spectrum]:
         return signal.csd(x, y, sweep.rate_hz, "boxcar", sweep.period, 0, detrend=False)

@@ -37,9 +37,9 @@ def _check_direction(direction: tuple[float, float, float]) -> tuple[float, floa
     return direction
 
 
-Direction = Annotated[
-    tuple[fields.Finite, fields.Finite, fields.Finite], AfterValidator(_check_direction)
-]
+Three = tuple[fields.Finite, fields.Finite, fields.Finite]
+Direction = Annotated[Three, AfterValidator(_check_direction)]
+Source = Annotated[str, fields.one_of((REDUCED, *AXES))]
 
 
 class ActuatorTable(fields.TomlTable):
@@ -48,9 +48,7 @@ class ActuatorTable(fields.TomlTable):
     name: fields.Words
     channel: Channel
     full_scale_m_s2: Acceleration = 100.0
-    plays: Annotated[tuple[Annotated[str, fields.one_of((REDUCED, *AXES))], ...], fields.Some] = (
-        REDUCED,
-    )
+    plays: Annotated[tuple[Source, ...], fields.Some] = (REDUCED,)
     direction: Direction | None = None
     weight: Annotated[fields.Positive, Field(le=100)] | None = None
 

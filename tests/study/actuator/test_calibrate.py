@@ -444,7 +444,7 @@ def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
         assert find_slip(cut, sweep) == pytest.approx(37, rel=0.3)
     assert find_slip(0.01 * noise, sweep) == 0
     played = iter([cut, cut, whole, *[cut] * output_module.N_TRIES])
-    bench: Any = SimpleNamespace(play=lambda *_, **__: next(played))
+    bench: Any = SimpleNamespace(rig=rig, play=lambda *_, **__: next(played))
     bench.insist = partial(output_module.Bench.insist, bench)
     assert output_module.Bench.play_sweep(bench, sent, sweep, 1) is whole
     with pytest.raises(OSError, match=r"are \d+ samples out of step, 4 times in a row"):
