@@ -171,9 +171,8 @@ def probe_coils(
                 safe = SAFE * min(rig.limits.peak_m_s2, sensor.full_scale_m_s2)
                 peak = min(peak, safe / float(np.abs(motion).max()))
             recorded = bench.play({actuator.channel: peak * asked}, n=len(asked))
-            seen = None
-            if np.ptp(recorded):
-                seen = measure_sweep(replace(sweep, peak=peak), recorded)
+            own = replace(sweep, peak=peak)
+            seen = measure_sweep(own, recorded) if np.ptp(recorded) else None
             if diagnosis:
                 # One sweep only: a converter at another rate need not stretch the pause before the second.
                 sent = np.zeros((sweep.period, rig.n_channels), dtype=np.float32)
@@ -188,29 +187,25 @@ def probe_coils(
 
 def _find_hum(silence: Samples, *, rate_hz: float) -> str:
     still = silence - silence.mean(axis=1, keepdims=True)
-    hum_hz = find_hum(still, rate_hz=rate_hz, size=0.0)
-    if not hum_hz:
-        return ""
-    wave = np.exp(-2j * np.pi * hum_hz * np.arange(still.shape[1]) / rate_hz)
-    rms = math.sqrt(2) * float(np.linalg.norm(still @ wave)) / still.shape[1]
-    whole = float(np.sqrt(np.mean(np.square(still).sum(axis=0))))
-    if rms < AUDIBLE * math.sqrt(max(whole**2 - rms**2, 0.0)):
-        return ""
-    return describe_hum(hum_hz, rms)
+    hum_hz, rms = find_hum(still, rate_hz=rate_hz, size=0.0)
+    rest = float(np.mean(np.square(still).sum(axis=0))) - rms**2
+    is_heard = hum_hz and rms >= AUDIBLE * math.sqrt(max(rest, 0.0))
+    return describe_hum(hum_hz, rms) if is_heard else ""
 
 
 def _describe(seen: Response | None) -> dict[str, Any]:
     """Describe a probe; level_m_s2: median response at full scale; delay_ms: since it was sent."""
-    own: dict[str, Any] = {"level_m_s2": 0.0, "direction": [], "delay_ms": None}
-    own |= {"distortion": None, "coherence": 0.0}
-    if seen is not None:
-        inside = find_inside(seen.frequency_hz, band_hz=seen.band_hz)
-        own["level_m_s2"] = float(np.median(np.abs(seen.response[inside])))
-        own["direction"] = seen.direction.tolist()
-        own["delay_ms"] = 1e3 * seen.latency / seen.rate_hz
-        own["distortion"] = float(np.nanmedian(seen.distortion[inside]))
-        own["coherence"] = float(np.median(seen.coherence[inside]))
-    return own
+    if seen is None:
+        none = {"delay_ms": None, "distortion": None}
+        return {"level_m_s2": 0.0, "direction": [], "coherence": 0.0, **none}
+    inside = find_inside(seen.frequency_hz, band_hz=seen.band_hz)
+    return {
+        "level_m_s2": float(np.median(np.abs(seen.response[inside]))),
+        "direction": seen.direction.tolist(),
+        "coherence": float(np.median(seen.coherence[inside])),
+        "delay_ms": 1e3 * seen.latency / seen.rate_hz,
+        "distortion": float(np.nanmedian(seen.distortion[inside])),
+    }
 
 
 def find_fault(

@@ -80,14 +80,6 @@ class Motion:
     is_asked: bool
     is_moving: bool
 
-    def describe(self) -> str:
-        """Say its figures in one line."""
-        fit = self.fit
-        return (
-            f"{self.name} gain {fit.gain_db:+.1f} dB, resonance x {fit.resonance:.2f}, damping x {fit.damping:.2f}, "
-            f"distortion {self.distortion:.0%}, {fit.left:.0%} of the motion unexplained"
-        )
-
 
 def energy(spectrum: Spectrum) -> float:
     """Sum the squares of a spectrum."""
@@ -310,7 +302,7 @@ class Diagnosis:
         left, hum = scene.find_left(measured, [])
         # Harmonics of what was asked at 25 or 30 Hz are no hum.
         least = max(HUM_SHARE, *self._distorts.values())
-        hum_hz = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured) * least / HUM_SHARE)
+        hum_hz, _ = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured) * least / HUM_SHARE)
         for _ in range(N_HUMS if hum_hz else 0):  # a strong one hides what it is to be told from
             more = scene.find_left(measured, [k * hum_hz for k in range(1, 6)])[1]
             measured, hum = measured - more, hum + more
@@ -458,7 +450,12 @@ class Diagnosis:
 
 
 def _describe_unknown(motions: Iterable[Motion]) -> str:
-    return f"unknown cause, and the figures are: {', '.join(one.describe() for one in motions)}"
+    figures = (
+        f"{one.name} gain {one.fit.gain_db:+.1f} dB, resonance x {one.fit.resonance:.2f}, damping x "
+        f"{one.fit.damping:.2f}, distortion {one.distortion:.0%}, {one.fit.left:.0%} of the motion unexplained"
+        for one in motions
+    )
+    return f"unknown cause, and the figures are: {', '.join(figures)}"
 
 
 def name_rate(rate: float, rate_hz: float) -> str:
@@ -511,8 +508,8 @@ def _is_cut(size: Samples, peak: float) -> bool:
     return bool((n_flat >= FLAT) @ (is_steep | is_bent)) and len(steps) > LEAST_STEPS
 
 
-def find_hum(left: Samples, *, rate_hz: float, size: float) -> float:
-    """Find the mains in what no coil explains, (3, n): its frequency in Hz, near 50 or 60; 0 for none."""
+def find_hum(left: Samples, *, rate_hz: float, size: float) -> tuple[float, float]:
+    """Find the mains in what no coil explains, (3, n): its frequency in Hz, near 50 or 60, or 0; and its RMS."""
     n = left.shape[1]
     time_s = np.arange(n) / rate_hz
 
@@ -527,5 +524,5 @@ def find_hum(left: Samples, *, rate_hz: float, size: float) -> float:
         at_hz = max(near, key=near.__getitem__)
         around = np.median([measure(mains_hz + k * width_hz) for k in (-2, -1, 1, 2)])
         if near[at_hz] > max(best, HUM_LINE * float(around)):
-            best_hz, best = at_hz, near[at_hz]
-    return float(best_hz)
+            best_hz, best = float(at_hz), near[at_hz]
+    return best_hz, best

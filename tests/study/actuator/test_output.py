@@ -26,20 +26,13 @@ from feel321.study.actuator.device import (
     open_port,
 )
 from feel321.study.actuator.output import SENSOR_TAIL_S, Output, Take
-from feel321.study.actuator.rig import (
-    ActuatorTable,
-    DeviceTable,
-    LimitsTable,
-    Rig,
-    SensorTable,
-    TriggerTable,
-)
+from feel321.study.actuator.rig import ActuatorTable, DeviceTable, Rig, SensorTable, TriggerTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
-LIMITS = LimitsTable(peak_m_s2=100, rms_m_s2=100, duration_s=60)
+LIMITS: Any = {"peak_m_s2": 100, "rms_m_s2": 100, "duration_s": 60}
 COILS = Device(0, "USB Audio: coils (hw:1,0)", "ALSA", 4, 0)
 JACK = Device(1, "USB Audio: coils (hw:1,0)", "JACK", 4, 0)
 PAIR = Device(2, "coils", "ALSA", 2, 1)
@@ -278,25 +271,17 @@ def sounddevice(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> SimpleNamespac
 
 def open_line(rig: Rig = RIG, *, clock: Any = None) -> tuple[DeviceStream, Any, list[BlockTimes]]:
     blocks: list[BlockTimes] = []
-    line = DeviceStream(
-        rig,
-        rate_hz=RATE_HZ,
-        fill=lambda _out, block, _sensed: blocks.append(block),
-        clock=clock or Clock(),
-    )
+    own = {"rate_hz": RATE_HZ, "clock": clock or Clock()}
+    line = DeviceStream(rig, fill=lambda _out, block, _sensed: blocks.append(block), **own)
     return line, line._stream, blocks
 
 
 @pytest.mark.usefixtures("sounddevice")
 def test_flags_and_times_are_passed_on() -> None:
     line, stream, blocks = open_line(SENSING)
-    for flag in (
-        {},
-        {"output_underflow": True},
-        {"input_overflow": True},
-        {"input_underflow": True},
-    ):
-        stream.ask(**flag)
+    stream.ask()
+    for flag in ("output_underflow", "input_overflow", "input_underflow"):
+        stream.ask(**{flag: True})
     assert [block.has_run_dry for block in blocks] == [False, True, False, False]
     assert [block.has_lost_input for block in blocks] == [False, False, True, True]
     assert line.there_and_back_s == pytest.approx(0.12)
