@@ -20,6 +20,7 @@ import numpy as np
 from scipy import fft
 
 from feel321.files import make_folder, write_bytes
+from feel321.study.actuator import response
 from feel321.study.actuator.certificate import (
     FOLDER,
     MEASURED,
@@ -30,22 +31,6 @@ from feel321.study.actuator.certificate import (
 )
 from feel321.study.actuator.output import Bench, OnStep, open_bench
 from feel321.study.actuator.render import find_directions
-from feel321.study.actuator.response import (
-    ABOVE,
-    ALIVE,
-    BELOW,
-    DB,
-    TINY,
-    Band,
-    Response,
-    Sweep,
-    average_thirds,
-    find_inside,
-    find_slip,
-    make_inverse,
-    make_sweep,
-    measure_sweep,
-)
 from feel321.study.actuator.rig import ActuatorTable, Rig, digest, require_sensor
 from feel321.types import Samples
 
@@ -64,10 +49,12 @@ KEPT = timedelta(days=1)  # for so long a coil need not be measured again
 Coils = Mapping[str, CoilCertificate]
 
 
-def make_sweeps(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> tuple[Sweep, Sweep]:
+def make_sweeps(
+    rig: Rig, *, rate_hz: float, peak: float = 1.0
+) -> tuple[response.Sweep, response.Sweep]:
     """Make the sweep that is the measurement, and the shorter one before it."""
     settings = rig.calibration
-    main = Sweep(
+    main = response.Sweep(
         rate_hz=rate_hz,
         band_hz=settings.band_hz,
         duration_s=min(settings.sweep_s, MARGIN * rig.limits.duration_s),
@@ -84,12 +71,16 @@ def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
     return min(1.0, MARGIN * limits / actuator.full_scale_m_s2)
 
 
-def find_safe(rig: Rig, probe: Response) -> float:
+def find_safe(rig: Rig, probe: response.Response) -> float:
     """Find the peak of a sweep, as a part of full scale, whose motion is within the limits and the sensor's scale."""
     # A resonance may lie where the sweep rises to its peak, or falls.
-    log_hz = np.log(np.maximum(probe.frequency_hz, TINY))
-    rise = np.clip((log_hz - math.log(probe.band_hz[0] / BELOW)) / math.log(BELOW), 0, 1)
-    fall = np.clip((math.log(probe.band_hz[1] * ABOVE) - log_hz) / math.log(ABOVE), 0, 1)
+    log_hz = np.log(np.maximum(probe.frequency_hz, response.TINY))
+    rise = np.clip(
+        (log_hz - math.log(probe.band_hz[0] / response.BELOW)) / math.log(response.BELOW), 0, 1
+    )
+    fall = np.clip(
+        (math.log(probe.band_hz[1] * response.ABOVE) - log_hz) / math.log(response.ABOVE), 0, 1
+    )
     ramp = np.sin(math.pi / 2 * rise) ** 2 * np.sin(math.pi / 2 * fall) ** 2
     limits = [rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2]
     allowed = min(*limits, require_sensor(rig).full_scale_m_s2)
@@ -97,7 +88,7 @@ def find_safe(rig: Rig, probe: Response) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CoilRun(Response):
+class CoilRun(response.Response):
     """What was measured of one coil; repeats_db: between equal sweeps; noise_m_s2: RMS while nothing plays."""
 
     levels: Samples
@@ -112,9 +103,9 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
     rig, rate_hz = bench.rig, bench.rate_hz
     level = rig.calibration.level * find_allowed(rig, actuator)
 
-    def sweep(one: Sweep) -> tuple[Response, Samples]:
-        recorded = bench.play_sweep(make_sweep(one), one, actuator.channel)
-        return measure_sweep(one, recorded), recorded
+    def sweep(one: response.Sweep) -> tuple[response.Response, Samples]:
+        recorded = bench.play_sweep(response.make_sweep(one), one, actuator.channel)
+        return response.measure_sweep(one, recorded), recorded
 
     probe, _ = sweep(make_sweeps(rig, rate_hz=rate_hz, peak=PROBE * level)[1])
     _check_alive(rig, probe)
@@ -123,20 +114,20 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
     ladder = [sweep(make_sweeps(rig, rate_hz=rate_hz, peak=one)[1])[0] for one in levels]
     loud, _ = make_sweeps(rig, rate_hz=rate_hz, peak=top)
     main, recorded = sweep(loud)
-    inside = find_inside(probe.frequency_hz, band_hz=loud.band_hz)
+    inside = response.find_inside(probe.frequency_hz, band_hz=loud.band_hz)
     in_band_hz = probe.frequency_hz[inside]
 
-    def compare_db(one: Response) -> float:
+    def compare_db(one: response.Response) -> float:
         """Compare a response with that of the quietest step, by third octaves."""
         size = np.interp(in_band_hz, one.frequency_hz, np.abs(one.response))
-        ratio_db = DB * np.log(size / np.abs(ladder[0].response[inside]))
-        return float(np.median(average_thirds(ratio_db, in_band_hz, band_hz=loud.band_hz)))
+        ratio_db = response.DB * np.log(size / np.abs(ladder[0].response[inside]))
+        return float(np.median(response.average_thirds(ratio_db, in_band_hz, band_hz=loud.band_hz)))
 
     along = (main.direction @ recorded).reshape(loud.n_repeats, loud.period)
     energy = np.abs(fft.rfft(along)) ** 2
     at_hz = fft.rfftfreq(loud.period, 1 / rate_hz)
-    repeated_db = 10 * np.log10(average_thirds(energy, at_hz, band_hz=loud.band_hz))
-    kept = main.frequency_hz <= ABOVE * loud.band_hz[1]
+    repeated_db = 10 * np.log10(response.average_thirds(energy, at_hz, band_hz=loud.band_hz))
+    kept = main.frequency_hz <= response.ABOVE * loud.band_hz[1]
     names = ("frequency_hz", "response", "coherence", "distortion")
     return CoilRun(
         **asdict(main) | {name: getattr(main, name)[kept] for name in names},
@@ -148,12 +139,12 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
     )
 
 
-def _check_alive(rig: Rig, probe: Response) -> None:
-    inside = find_inside(probe.frequency_hz, band_hz=probe.band_hz)
+def _check_alive(rig: Rig, probe: response.Response) -> None:
+    inside = response.find_inside(probe.frequency_hz, band_hz=probe.band_hz)
     coherence, latency_s = float(np.median(probe.coherence[inside])), probe.latency / probe.rate_hz
-    if coherence < ALIVE:
+    if coherence < response.ALIVE:
         raise ValueError(
-            f"got no motion that follows the sweep (median coherence {coherence:.2f}), expected {ALIVE:g} or more; "
+            f"got no motion that follows the sweep (median coherence {coherence:.2f}), expected more; "
             "check coil, cable, amplifier, its channel in rig.toml, and the sensor"
         )
     if not 0 <= latency_s < rig.calibration.pause_s:
@@ -163,27 +154,27 @@ def _check_alive(rig: Rig, probe: Response) -> None:
         )
 
 
-def propose_band(rig: Rig, response: Response) -> tuple[Band, float]:
+def propose_band(rig: Rig, seen: response.Response) -> tuple[response.Band, float]:
     """Propose the band of a coil and the gain of its filter in dB: as in rig.toml, or what coil and noise allow."""
     own = rig.calibration
     if own.max_gain_db is not None:
         return own.band_hz, own.max_gain_db
-    inside = find_inside(response.frequency_hz, band_hz=own.band_hz)
-    size = np.abs(response.response)
+    inside = response.find_inside(seen.frequency_hz, band_hz=own.band_hz)
+    size = np.abs(seen.response)
     middle = float(np.median(size[inside]))
-    is_good = inside & (response.coherence >= own.min_coherence)
-    is_good &= DB * np.log(middle / np.maximum(size, 1e-12)) <= MOST_GAIN_DB - SPARE_DB
+    is_good = inside & (seen.coherence >= own.min_coherence)
+    is_good &= response.DB * np.log(middle / np.maximum(size, 1e-12)) <= MOST_GAIN_DB - SPARE_DB
     if not is_good.any():
         return own.band_hz, MOST_GAIN_DB
     # The longest stretch without a frequency that would need too much, or that noise hides.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_good, [False]])))
-    ends_hz = response.frequency_hz[edges.reshape(-1, 2) - [0, 1]]
+    ends_hz = seen.frequency_hz[edges.reshape(-1, 2) - [0, 1]]
     low, high = max(ends_hz, key=lambda one: float(one[1] / one[0]))
-    first, last = response.frequency_hz[inside][[0, -1]]
+    first, last = seen.frequency_hz[inside][[0, -1]]
     low = own.band_hz[0] if low == first else float(low)
     high = own.band_hz[1] if high == last else float(high)
-    inside = find_inside(response.frequency_hz, band_hz=(low, high))
-    needed_db = DB * math.log(float(np.median(size[inside]) / size[inside].min()))
+    inside = response.find_inside(seen.frequency_hz, band_hz=(low, high))
+    needed_db = response.DB * math.log(float(np.median(size[inside]) / size[inside].min()))
     return (low, high), min(needed_db + SPARE_DB, MOST_GAIN_DB)
 
 
@@ -191,14 +182,14 @@ def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertific
     """Make the filter of a coil, and what its certificate says of it: by calculation, until it is verified."""
     settings = rig.calibration
     band_hz, gain_db = propose_band(rig, run)
-    inverse = make_inverse(
+    inverse = response.make_inverse(
         run,
         band_hz=band_hz,
         max_gain_db=gain_db,
         n_taps=round(TAPS_PERIODS / band_hz[0] * run.rate_hz),
         min_coherence=settings.min_coherence,
     )
-    inside = find_inside(run.frequency_hz, band_hz=band_hz)
+    inside = response.find_inside(run.frequency_hz, band_hz=band_hz)
     size, distortion = np.abs(run.response[inside]), run.distortion[inside]
     full_scale_m_s2 = float(np.median(size))
     before_db = run.find_deviation_db(target=full_scale_m_s2, band_hz=band_hz)
@@ -209,7 +200,7 @@ def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertific
     typed = find_directions(rig)[0].get(actuator.name, np.eye(3)[0])
     is_seen = len(run.direction) == len(typed)
     low, high = settings.band_hz
-    grid_hz = np.arange(low / BELOW, high * ABOVE, STEP_HZ, dtype=np.float64)
+    grid_hz = np.arange(low / response.BELOW, high * response.ABOVE, STEP_HZ, dtype=np.float64)
     on_grid = {
         name: np.interp(grid_hz, run.frequency_hz, getattr(run, name))
         for name in ("response", "coherence", "distortion")
@@ -238,13 +229,18 @@ def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertific
 
 
 def judge_filter(
-    rig: Rig, coil: CoilCertificate, *, run: CoilRun, after: Response, is_measured: bool = False
+    rig: Rig,
+    coil: CoilCertificate,
+    *,
+    run: CoilRun,
+    after: response.Response,
+    is_measured: bool = False,
 ) -> CoilCertificate:
     """Compare the response with a filter, measured or calculated, with its target; and add up the uncertainties."""
     off_db = after.find_deviation_db(target=coil.target, band_hz=coil.band_hz)
-    inside = find_inside(after.frequency_hz, band_hz=coil.band_hz)
+    inside = response.find_inside(after.frequency_hz, band_hz=coil.band_hz)
     worst, settings = int(np.argmax(np.abs(off_db))), rig.calibration
-    own = run.coherence[find_inside(run.frequency_hz, band_hz=coil.band_hz)]
+    own = run.coherence[response.find_inside(run.frequency_hz, band_hz=coil.band_hz)]
     coherence = np.clip(own, 1e-6, 1)
     # Bendat and Piersol (2010), table 9.6: the random error of |H| from n segments.
     random = np.sqrt((1 - coherence) / (2 * settings.repeats * coherence))
@@ -252,7 +248,7 @@ def judge_filter(
     budget = {
         "sensor, as typed": settings.sensor_uncertainty_db,
         "repeatability": run.repeats_db,
-        "noise": DB * float(np.median(random)),
+        "noise": response.DB * float(np.median(random)),
         "linearity": float(np.abs(run.linearity_db).max()) / math.sqrt(3),
         "left after the filter": float(np.sqrt(np.mean(off_db**2))),
     }
@@ -271,18 +267,18 @@ def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertif
     """Play a sweep through the filter of a coil, as loud as its own, and compare the motion with the target."""
     rig, top = bench.rig, float(run.levels[-1])
     sweep, _ = make_sweeps(rig, rate_hz=bench.rate_hz, peak=top)
-    asked = make_sweep(sweep)
+    asked = response.make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
     scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
     recorded = bench.play_sweep(scale * filtered, sweep, coil.channel)
-    after = measure_sweep(sweep, recorded, sent=scale * asked)
+    after = response.measure_sweep(sweep, recorded, sent=scale * asked)
     return judge_filter(rig, coil, run=run, after=after, is_measured=True)
 
 
 def measure_latencies(bench: Bench, coils: Coils) -> dict[str, CoilCertificate]:
     """Measure the latencies of all coils in one recording: a device that ran dry goes on with another latency."""
     _, quiet = make_sweeps(bench.rig, rate_hz=bench.rate_hz)
-    turn, n_coils, once = quiet.period, len(coils), make_sweep(quiet)[: quiet.period]
+    turn, n_coils, once = quiet.period, len(coils), response.make_sweep(quiet)[: quiet.period]
     n = turn * quiet.n_repeats * n_coils
     sounds = {coil.channel: np.zeros(n) for coil in coils.values()}
     for number, coil in enumerate(coils.values()):  # one coil after another, again and again
@@ -294,12 +290,14 @@ def measure_latencies(bench: Bench, coils: Coils) -> dict[str, CoilCertificate]:
 
     recorded = bench.insist(
         lambda: bench.play(sounds, n=n),
-        lambda found: max(find_slip(cut(found, number), quiet) for number in range(n_coils)),
+        lambda found: max(
+            response.find_slip(cut(found, number), quiet) for number in range(n_coils)
+        ),
     )
     found = {}
     for number, (name, coil) in enumerate(coils.items()):
         sweep = replace(quiet, peak=float(coil.levels[1]))
-        latency = measure_sweep(sweep, cut(recorded, number)).latency
+        latency = response.measure_sweep(sweep, cut(recorded, number)).latency
         found[name] = replace(coil, latency=latency)
     return found
 

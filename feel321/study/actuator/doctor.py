@@ -10,17 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.study.actuator import faults
 from feel321.study.actuator.calibrate import find_allowed
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
-from feel321.study.actuator.faults import (
-    RATES,
-    Diagnosis,
-    describe_hum,
-    find_hum,
-    find_sensor_fault,
-    name_rate,
-)
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import Response, Sweep, find_inside, make_sweep, measure_sweep
@@ -159,7 +152,7 @@ def probe_coils(
     )
     asked, found, sensor = make_sweep(sweep), dict[str, dict[str, Any]](), require_sensor(rig)
     known = certificate if certificate and certificate.method == MEASURED else None
-    diagnosis = Diagnosis(known, rig) if known and len(sensor.inputs) == len(AXES) else None
+    diagnosis = faults.Diagnosis(known, rig) if known and len(sensor.inputs) == len(AXES) else None
     if diagnosis is not None:
         diagnosis.lag = None  # a stream that was opened anew has not the certificate's latency
     with open_bench(rig, rate_hz=rate_hz, n_longest=len(asked)) as bench:
@@ -187,10 +180,10 @@ def probe_coils(
 
 def _find_hum(silence: Samples, *, rate_hz: float) -> str:
     still = silence - silence.mean(axis=1, keepdims=True)
-    hum_hz, rms = find_hum(still, rate_hz=rate_hz, size=0.0)
+    hum_hz, rms = faults.find_hum(still, rate_hz=rate_hz, size=0.0)
     rest = float(np.mean(np.square(still).sum(axis=0))) - rms**2
     is_heard = hum_hz and rms >= AUDIBLE * math.sqrt(max(rest, 0.0))
-    return describe_hum(hum_hz, rms) if is_heard else ""
+    return faults.describe_hum(hum_hz, rms) if is_heard else ""
 
 
 def _describe(seen: Response | None) -> dict[str, Any]:
@@ -212,7 +205,9 @@ def find_fault(
     rig: Rig, actuator: ActuatorTable, seen: Response | None, *, recorded: Samples, sent: Samples
 ) -> str:
     """Name what is wrong with a coil that has no certificate, by what its probe moved."""
-    if fault := find_sensor_fault(recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2):
+    if fault := faults.find_sensor_fault(
+        recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2
+    ):
         return fault
     probe = _describe(seen)
     if seen is None or probe["coherence"] < SEEN:
@@ -266,5 +261,5 @@ def _find_rate(sent: Samples, recorded: Samples, *, rate_hz: float) -> str:
         cross = np.fft.irfft(np.fft.rfft(strongest, n) * np.fft.rfft(played, n).conj(), n)
         return float(np.abs(cross).max()) / max(size * float(np.linalg.norm(played)), 1e-30)
 
-    best = max((1.0, *RATES), key=liken)
-    return "" if best == 1 or liken(best) < 2 * liken(1.0) else name_rate(best, rate_hz)
+    best = max((1.0, *faults.RATES), key=liken)
+    return "" if best == 1 or liken(best) < 2 * liken(1.0) else faults.name_rate(best, rate_hz)
