@@ -401,7 +401,7 @@ class Diagnosis:
     def _list_causes(self, scene: Scene, motion: Motion) -> Iterator[str]:
         """Name what may be wrong with one coil, the likeliest first."""
         fit, name = motion.fit, motion.name
-        if fit.gain_db < DEAD_DB or not motion.is_moving:
+        if max(fit.gain_db, motion.level_db) < DEAD_DB or not motion.is_moving:
             yield f"dead ({fit.gain_db:.0f} dB); check its cable, its amplifier and its channel"
         if fit.sign < 0 and fit.left < FOLLOWS:
             yield "inverted: its wires were exchanged since the calibration"

@@ -149,6 +149,15 @@ def test_what_nothing_explains_is_unknown_with_the_figures() -> None:
     assert found.startswith("unknown cause, and the figures are: left gain ")
 
 
+def test_a_coil_that_is_late_by_itself_is_not_called_dead() -> None:
+    sent = send(certified("ordinary"), *(make_track(seed, peak=6.0) for seed in (1, 2, 3)))
+    late = np.pad(sent, ((0, 960), (0, 0)))
+    late[:, 1] = np.roll(late[:, 1], 960)
+    found = Diagnosis(certified("ordinary"), make_rig())
+    told = found.judge(sent, play(LOOPS["ordinary"], late))
+    assert told.startswith("right: unknown cause, and the figures are: right gain ")
+
+
 def test_a_delay_counts_only_where_nothing_else_may_have_moved_it() -> None:
     track = make_track(1, peak=6.0)
     sent = send(certified("ordinary"), track, track, track)
