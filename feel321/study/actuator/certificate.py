@@ -69,12 +69,10 @@ class CoilCertificate:
     """One coil, as measured without its filter, and with it.
 
     full_scale_m_s2: median response in the band without the filter; target: response everywhere in its band with it.
-    latency: samples from sending to the sensor; delay: samples that the filter adds. frequency_hz, response (along
-    `direction`, latency removed), coherence, distortion and equalised (with the filter): shape (k,), NaN where not
-    measured. direction: unit vector, shape (3,). levels, linearity_db: amplitudes of the ladder (of full scale) and
-    deviations from linear there. before_db, largest_db: largest deviation in the band, without the filter, and with it
-    (at worst_hz). crossed_db: motion across the direction over that along it. budget: standard uncertainties of the
-    level in dB, by source.
+    latency: samples from sending to the sensor; delay: samples that the filter adds. response (along the unit vector
+    `direction`, latency removed), coherence, distortion and equalised (with the filter): at frequency_hz. levels,
+    linearity_db: amplitudes of the ladder and deviations from linear there. before_db, largest_db: largest deviation in
+    the band, without the filter, and with it. budget: standard uncertainties of the level in dB, by source.
     """
 
     name: Words

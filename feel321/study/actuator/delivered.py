@@ -1,16 +1,13 @@
 """Delivered vibration: what the hand got, as its sensor measured it or a certificate predicts it, and what was asked.
 
-A comparison takes out the latency first: the lag with the largest cross-correlation, to the sample. Level and coherence
-are those of 20 to 1000 Hz. Level is that of the part of the measured motion that follows what was asked (coherent
-output power, Bendat & Piersol), so noise does not count as vibration; coherence is that part's share of the energy.
+A comparison takes out the latency first: the lag with the largest cross-correlation. Level is that of the part of the
+measured motion that follows what was asked, from 20 to 1000 Hz (coherent output power, Bendat & Piersol), so noise does
+not count as vibration; coherence is that part's share of the energy.
 
 The match metrics of a stimulus are those of its reduction, at the recording's own rate, before level, rate and fades.
 So that the delivered metrics differ from them by what the rig did and by nothing else, the rig's error (measured minus
-asked) is brought to the recording's rate and strength and added to the reduced signal. What lies outside 20 to 1000 Hz
-(and the reach of the metrics' smoothing) is left out: tremor of the hand and noise of the sensor are no vibration.
-
-On a sensor with one axis a three-axis stimulus has level and coherence only, in the direction in which it fits best; a
-one-axis stimulus is taken to be measured along its motion.
+asked, in the band) is brought to the recording's rate and strength and added to the reduced signal. On a sensor with
+one axis a three-axis stimulus has level and coherence only, in the direction in which it fits best.
 """
 
 from collections.abc import Iterable, Mapping
@@ -204,10 +201,9 @@ def reduce_stimuli(
 
 
 class DeliveryCheck:
-    """Compares each playback of a set with what was asked of a rig.
+    """Compares each playback of a set with what was asked of a rig; tolerance_db: of a coil's level.
 
-    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known. certificate: only with
-    one does the rig promise to give what is asked, so that level and polarity count. tolerance_db: of a coil's level.
+    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known.
     """
 
     def __init__(

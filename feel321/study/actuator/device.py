@@ -191,8 +191,7 @@ class BlockTimes:
 class Sink:
     """What the blocks of the mixer go to: a device, simulated coils, or a file; it runs from the time it is made.
 
-    latency_s: from a block to its sound; there_and_back_s: from a block to what the sensor makes of it. identity: what
-    a journal says of it.
+    latency_s: from a block to its sound; there_and_back_s: from a block to what the sensor makes of it.
     """
 
     latency_s = 0.0

@@ -270,9 +270,8 @@ class Scene:
 class Diagnosis:
     """Judges the playbacks of a rig with a measured certificate and a three-axis sensor.
 
-    lag: of the last playback, in samples; None where it is not known, as after a device ran dry. motions: of the last
-    playback, by coil. is_grave: whether a fault of it may have been felt: not if each coil did what was sent to it,
-    within tolerance_db (None for any) and the rig's own `max_distortion`.
+    lag, motions: of the last playback, in samples, and by coil. is_grave: whether a fault of it may have been felt: not
+    if each coil did what was sent to it, within tolerance_db (None for any) and the rig's own `max_distortion`.
     """
 
     def __init__(

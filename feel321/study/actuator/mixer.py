@@ -1,10 +1,8 @@
 """The mixer: stimuli, masking noise and limits, block by block, for the stream's callback.
 
-Frames are counted from the stream's begin. A stimulus that was asked for is scheduled when the next block is filled,
-so its onset is known to the sample. Filling a block allocates nothing that lasts.
-
-Samples within the limits pass bit for bit. Others are changed one by one, so that the outcome does not depend on how
-the stream is cut into blocks; NaN becomes silence.
+A stimulus that was asked for is scheduled when the next block is filled, so its onset is known to the sample. Filling a
+block allocates nothing that lasts. Samples within the limits pass bit for bit; others are changed one by one, so that
+the outcome does not depend on how the stream is cut into blocks.
 """
 
 from collections import deque

@@ -110,11 +110,10 @@ SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, Simulated
 class Output:
     """Plays sounds, shape (n_samples, channels), one at a time; `open_output` opens and closes it.
 
-    lead_s: by how much the filters of a certificate let samples go out before the vibration that they make. So much of
-    the gap is taken up by it, and an onset is that of the vibration. captured: what was recorded of the last playback
-    that was collected, shape (axes, n) in m/s² by a sensor, (channels, n) in full scales for a file; it is written to
-    the folder, if there is one, under the next free number: a name would tell the experimenter what was played.
-    identity: rig, device, rate and channels, for the journal's header; compared when a session is resumed.
+    lead_s: by how much the filters of a certificate let samples go out before the vibration that they make: an onset is
+    that of the vibration. captured: what was recorded of the last playback, (axes, n) in m/s² by a sensor, (channels,
+    n) for a file; it is written to the folder under the next free number, as a name would tell what was played.
+    identity: for the journal's header.
     """
 
     def __init__(

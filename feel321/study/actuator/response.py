@@ -1,15 +1,9 @@
 """From samples sent to acceleration felt: sweeps, the response of a coil, its inverse filter.
 
-Pure functions on arrays. Sent samples are in units of full scale, recorded ones in m/s², responses in m/s² per full
-scale, frequencies in Hz.
-
-References
-----------
-Novak A, Lotton P, Simon L (2015). Synchronized swept-sine: theory, application, and implementation. J Audio Eng Soc
-63(10), 786-798, doi:10.17743/jaes.2015.0071. Bendat JS, Piersol AG (2010). Random data, chapters 6 and 9,
-doi:10.1002/9781118032428. Knapp C, Carter G (1976). The generalized correlation method for estimation of time delay.
-doi:10.1109/TASSP.1976.1162830. Kirkeby O, Nelson PA (1999). Digital filter design for inversion problems in sound
-reproduction. J Audio Eng Soc 47(7/8), 583-595.
+Sent samples are in units of full scale, recorded ones in m/s², responses in m/s² per full scale, frequencies in Hz.
+After Novak et al. 2015 (synchronized sweeps, doi:10.17743/jaes.2015.0071), Bendat & Piersol 2010 (H1 and coherence,
+doi:10.1002/9781118032428), Knapp & Carter 1976 (delays, doi:10.1109/TASSP.1976.1162830), and Kirkeby & Nelson 1999
+(inversion, J Audio Eng Soc 47, 583-595).
 """
 
 import math
@@ -108,10 +102,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InverseFilter:
-    """An FIR filter, shape (n,), that gives a coil the response `target` in a band, `delay` samples late.
-
-    gain_db: its largest gain; what is played must be that much below full scale.
-    """
+    """An FIR filter, shape (n,), that gives a coil the response `target` in a band, `delay` samples late."""
 
     fir: Samples
     target: float
