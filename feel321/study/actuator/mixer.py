@@ -30,10 +30,6 @@ class Limiter:
         self, rate_hz: float, *, peak: float, rms: float, duration_s: float, max_frames: int
     ) -> None:
         self._window, self._pause = round(WINDOW_S * rate_hz), round(PAUSE_S * rate_hz)
-        if max_frames > self._pause:
-            raise ValueError(
-                f"blocks must have at most {self._pause} frames, got {max_frames}: a pause spans blocks"
-            )
         self._peak = np.float32(min(peak, 1.0))
         self._energy_limit = float(rms) ** 2 * self._window * (1 + ROUNDING)
         self._longest = round(duration_s * rate_hz)
@@ -247,7 +243,7 @@ class Mixer:
         self.frame = 0
         self._rate_hz, self._sounds, self._sync = rate_hz, sounds, rig.sync
         self._preroll = round(preroll_s * rate_hz)
-        self._block = min(BLOCK_FRAMES, round(PAUSE_S * rate_hz))
+        self._block = min(BLOCK_FRAMES, round(PAUSE_S * rate_hz))  # a pause spans blocks
         limits = rig.limits
         self._limiters = [
             (
@@ -296,10 +292,6 @@ class Mixer:
         goes_on: begin where the last one was stopped, which is faded in there as that one was faded out. lead_s: from
         its first sample to the vibration; it is taken from the gap, down to a pause that the limiter counts as one.
         """
-        if stimulus_id not in self._sounds:
-            raise ValueError(
-                f"the stimulus must be one of the {len(self._sounds)} that were loaded, got {stimulus_id!r}"
-            )
         self.stop()
         sound, last = self._sounds[stimulus_id], self._latest
         sound = sound if scale == 1 else sound * np.float32(scale)
