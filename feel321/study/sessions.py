@@ -17,7 +17,7 @@ from feel321.stimuli.sets.render import list_methods
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.numbers import find_station, plan_participants
 from feel321.study.persons.answers import make_keeper
-from feel321.study.session.engine import Outcome, run_session
+from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan
@@ -93,7 +93,7 @@ def lead_session(
     identity: Mapping[str, Any],
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
-) -> tuple[Outcome, str]:
+) -> tuple[Place, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
     with open_session(

@@ -24,17 +24,14 @@ if TYPE_CHECKING:
 
 JOURNAL_FORMAT = 1  # in the header of a journal
 
-FROZEN_FILE = "frozen.json"
-"""What was decided before the ratings, in the study's folder (`feel321 freeze`)."""
-
+FROZEN_FILE = (
+    "frozen.json"  # what was decided before the ratings, in the study's folder (`feel321 freeze`)
+)
+# Of a header and a later opening: may not even differ where nobody has done anything yet; may differ, for other
+# versions may go on with a session and choices be amended; may differ where somebody accepts it: a rig is repaired.
 PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
-"""May not even differ where nobody has done anything yet."""
-
 UNCOMPARED = ("format", "session", "versions", "system", "clock", "frozen")
-"""May differ between a header and a later opening: other versions may go on with a session, and choices be amended."""
-
 ACCEPTABLE = ("presenter.rig", "calibration")
-"""May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
 
 _OPENING = {kind.event for kind in events.OPENING}
 _UNTOUCHED = {kind.event for kind in events.UNTOUCHED}
