@@ -32,7 +32,7 @@ from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
 from feel321.study.observer.model import Casting, find_person, make_model
 from feel321.study.observer.simulated import Participant
-from feel321.study.people import read_progress
+from feel321.study.people import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place
 from feel321.study.sessions import (
@@ -80,7 +80,7 @@ def run_participant(
         seed = settings.study.seed if seed is None else seed
         room = replace(room, casting=Casting(make_model(settings), seed))
     plan = plan_sessions(room, settings, [participant], simulated=simulated)[0]
-    own = read_progress(study.sessions / plan.participant)
+    own = make_progress(study.read_person(study.sessions / plan.participant))
     if own.state == "finished":  # No window is opened for it.
         return Place(own.answered, own.total, given_up=own.given_up)
     room = replace(room, pace=read_pace(study, stimuli))
