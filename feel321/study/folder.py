@@ -46,6 +46,10 @@ TEMPLATES = files("feel321.study") / "settings"
 BUNDLED = TEMPLATES / "bundled"
 
 
+class UsageError(ValueError):
+    """Arguments that cannot be, whatever the study holds: exit code 2 on the command line."""
+
+
 def name_delivered(number: int) -> str:
     """Name the file of a playback.
 

@@ -29,6 +29,7 @@ from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import ratings, sessions
+from feel321.study.folder import UsageError
 from feel321.study.metrics import measure_declared
 from feel321.study.observer.model import make_model
 from feel321.study.session import plan as plans
@@ -54,6 +55,8 @@ if TYPE_CHECKING:
 
 OWN = "study"
 """A pilot that is no file: the study's own ratings."""
+
+SIZES = planted.SIZES
 
 KEPT = ".studies"
 """Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
@@ -99,16 +102,13 @@ class PowerTask:
 def set_up(
     study: StudyFolder,
     *,
-    effects: Mapping[str, float] | None = None,
+    effects: Mapping[str, float] | Sequence[str] = (),
     pilot: str | Path | None = None,
     pilot_manifest: Path | None = None,
     wanted: float = planted.ENOUGH,
 ) -> PowerTask:
-    """Set up the power analysis of a study.
-
-    effects: metric, or attribute/metric -> points per step of the metric; others are as simulated observers plant them.
-    pilot: a table of ratings, or `study`; the usual standard deviations if left out.
-    """
+    """Set up the power analysis of a study; other slopes than those of `effects` are the simulated observers'."""
+    wanted_effects = effects if isinstance(effects, Mapping) else _read_effects(effects)
     settings = read.read_settings(study.settings)
     if settings.session.recordings_per_participant:
         raise ValueError(
@@ -120,25 +120,21 @@ def set_up(
     further = measure_declared(study, settings)
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
-    table = tabulate_plan(study, settings, stimuli, groups=share, further=further)
+    table = _tabulate_plan(study, settings, stimuli, groups=share, further=further)
     if not (rated := list(split_tests(table))):
         raise ValueError(
             "session.protocols ask for no rating of a single stimulus, so there is no slope to plan for; add realism "
             "or similarity"
         )
-    slopes = _plant(settings, rated, steps=find_table_steps(table), effects=effects or {})
+    slopes = _plant(settings, rated, steps=find_table_steps(table), effects=wanted_effects)
     metrics, attributes = (tuple(slopes[name].unique()) for name in ("metric", "attribute"))
     items = rated[0].rows[[SCENE, REDUCER, ITEM, *metrics]].drop_duplicates(ITEM)
     origin = rated[0].rows.drop_duplicates(SCENE).set_index(SCENE)["source"]
     if not origin.is_unique:
         items = items.assign(source=items[SCENE].map(origin))
+    repeats = settings.session.repeats
     design = planted.PowerDesign(
-        items,
-        metrics,
-        attributes,
-        participants=PEOPLE,
-        repeats=settings.session.repeats,
-        wanted=wanted,
+        items, metrics, attributes, participants=PEOPLE, repeats=repeats, wanted=wanted
     )
     named = slopes["attribute"] + "/" + slopes["metric"]
     known = dict(zip(named, slopes["points"] / slopes["size"], strict=True))
@@ -153,7 +149,24 @@ def set_up(
     return PowerTask(design, truth, slopes, settings.study.name, share, tuple(notes))
 
 
-def tabulate_plan(
+def _read_effects(texts: Sequence[str]) -> dict[str, float]:
+    effects: dict[str, float] = {}
+    for text in texts:
+        name, _, points = text.rpartition("=")
+        try:
+            value = float(points)
+        except ValueError:
+            name, value = "", 0.0
+        if not name or name in effects:
+            fault = f"got {name!r} twice; give it once" if name else f"got {text!r}"
+            raise UsageError(
+                f"--effect must be METRIC=POINTS, such as temporal_match=1.5, once for each; {fault}"
+            )
+        effects[name] = value
+    return effects
+
+
+def _tabulate_plan(
     study: StudyFolder,
     settings: Settings,
     stimuli: StimulusSet,
@@ -161,10 +174,7 @@ def tabulate_plan(
     groups: int,
     further: Further | None = None,
 ) -> Table:
-    """Tabulate what participants are asked to judge, one of each group, with the metrics that are declared.
-
-    All ratings are 0: nobody has rated yet.
-    """
+    """Tabulate what participants are asked to judge, one of each group; all ratings are 0."""
     design = read.make_design(settings, study.path)
     rows = []
     for number in range(1, groups + 1):
@@ -314,11 +324,8 @@ def _fit_pilot(table: Table, known: Mapping[str, Any], name: str) -> Truth:
 
 def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studies, who does them, who watches
     task: PowerTask,
+    sizes: Mapping[str, Numbers],
     *,
-    participants: Numbers = (),
-    recordings: Numbers = (),
-    reducers: Numbers = (),
-    repeats: Numbers = (),
     hypothesis: str = "",
     studies: int = 1000,
     seed: int = 0,
@@ -326,10 +333,9 @@ def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studi
     workers: Workers,
     progress: Callable[[int, int], None],
 ) -> StudyPower:
-    """Compute the power of all designs; hypothesis: attribute/metric."""
-    given = dict(zip(planted.SIZES, (participants, recordings, reducers, repeats), strict=True))
-    factors = {name: _list_numbers(numbers, name) for name, numbers in given.items()}
-    people, share = factors["participants"], task.share
+    """Compute the power of all designs; sizes: by the names of `SIZES`; hypothesis: attribute/metric."""
+    factors = {name: _list_numbers(numbers, name) for name, numbers in sizes.items()}
+    people, share = factors.get("participants", ()), task.share
     if odd := [one for one in people if one % share or one < FEWEST * share]:
         raise ValueError(
             f"participants must be {FEWEST * share} or more and multiples of {share}, the groups of [between] that "
@@ -339,15 +345,19 @@ def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studi
     near = min(factors["participants"] or (PEOPLE,), key=lambda number: abs(number - PEOPLE))
     design = replace(task.design, participants=near)
     known = {"/".join(one): one for one in design.hypotheses}
-    aim = _choose_aim(task, design)
+    aim = design.hypotheses[0] if not any(task.truth.slopes.values()) else None
+    asked = task.effects[(task.effects["source"] == GIVEN) & (task.effects["points"] != 0)]
     if hypothesis:
         aim = known[check_name(hypothesis, known, "hypothesis")]
+    elif aim is None and not asked.empty:
+        power = planning.find_power(design, task.truth, studies=0).table["power"]
+        aim = design.hypotheses[power.loc[asked.index].sort_values(kind="stable").index[0]]
     make_folder(keep)
     plan = planning.plan_power(
         design, task.truth, **factors, hypothesis=aim, studies=studies, seed=seed, workers=workers, keep=keep,
         progress=progress,
     )  # fmt: skip
-    return StudyPower(plan, task.name, task.effects, task.share, task.notes)
+    return StudyPower(plan, task)
 
 
 def _list_numbers(numbers: Numbers, what: str) -> tuple[int, ...]:
@@ -358,17 +368,6 @@ def _list_numbers(numbers: Numbers, what: str) -> tuple[int, ...]:
     return tuple(int(one) for one in listed)
 
 
-def _choose_aim(task: PowerTask, design: PowerDesign) -> tuple[str, str] | None:
-    """Choose the hypothesis with the least power among those whose slope was given; any, where none was planted."""
-    if not any(task.truth.slopes.values()):
-        return design.hypotheses[0]
-    asked = task.effects[(task.effects["source"] == GIVEN) & (task.effects["points"] != 0)]
-    if asked.empty:
-        return None
-    power = planning.find_power(design, task.truth, studies=0).table["power"]
-    return design.hypotheses[power.loc[asked.index].sort_values(kind="stable").index[0]]
-
-
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class StudyPower(results.PageResult):
     """The power of a study, planned from its own settings and stimuli.
@@ -377,28 +376,19 @@ class StudyPower(results.PageResult):
     ----------
     plan : PowerPlan
         Power of all designs; its participants are those who rate each attribute.
-    name : str
-        The study.
-    effects : DataFrame
-        What is planted, a row per hypothesis: attribute, metric, points, per (the step of the metric), size (of the
-        step), source.
-    share : int
-        Groups among which the attributes are divided: as many times the participants of the plan take part.
-    notes : tuple of str
-        What was assumed and what is unusual, one sentence each.
+    task : PowerTask
+        What is planned: the slopes, and the groups among which the attributes are divided.
     """
 
     plan: PowerPlan
-    name: str
-    effects: DataFrame
-    share: int
-    notes: tuple[str, ...] = ()
+    task: PowerTask
 
     @property
     def answer(self) -> str:
         """Which design is enough, its power and interval, in one sentence; or why none is."""
         row = self._find_row(self.plan.hypothesis)
-        return planning.describe_plan(self.plan, share=self.share, size=row["size"], per=row["per"])
+        share = self.task.share
+        return planning.describe_plan(self.plan, share=share, size=row["size"], per=row["per"])
 
     def to_frame(self) -> DataFrame:
         """Return the power of all designs.
@@ -408,7 +398,7 @@ class StudyPower(results.PageResult):
         DataFrame
             The columns of `PowerPlan.table`, and people: all who take part.
         """
-        return self.plan.table.assign(people=self.plan.table["participants"] * self.share)
+        return self.plan.table.assign(people=self.plan.table["participants"] * self.task.share)
 
     def to_frames(self) -> dict[str, DataFrame]:
         """Return the numbers as tables.
@@ -420,7 +410,7 @@ class StudyPower(results.PageResult):
         """
         tables = [one.table.assign(**one.design.sizes) for one in self.plan.powers]
         hypotheses = concat(tables, ignore_index=True)
-        return {"designs": self.to_frame(), "planted": self.effects, "hypotheses": hypotheses}
+        return {"designs": self.to_frame(), "planted": self.task.effects, "hypotheses": hypotheses}
 
     def summary(self) -> str:
         """Write the answer for reading.
@@ -432,33 +422,33 @@ class StudyPower(results.PageResult):
         """
         rows = self._list_hypotheses()
         lines = ["; ".join(f"{name}: {value}" for name, value in row.items()) for row in rows]
-        return "\n".join([self.answer, *lines, *self.notes])
+        return "\n".join([self.answer, *lines, *self.task.notes])
 
     def _find_row(self, hypothesis: tuple[str, str]) -> dict[str, Any]:
         """Find what is known of a hypothesis in the design that is shown, and what was planted."""
         place = self.plan.shown.design.hypotheses.index(hypothesis)
-        effect = {str(name): value for name, value in self.effects.iloc[place].to_dict().items()}
-        return planning.find_row(self.plan, hypothesis) | effect
+        effect = self.task.effects.iloc[place].to_dict().items()
+        return planning.find_row(self.plan, hypothesis) | {str(name): one for name, one in effect}
 
     def _list_hypotheses(self) -> list[dict[str, str]]:
         """List what is said of each hypothesis in the design that is shown."""
         rows = []
         for row in map(self._find_row, self.plan.shown.design.hypotheses):
-            size, per = row["size"], row["per"]
+            size, unit = row["size"], f" points per {row['per']}"
             rows.append({
                 "Hypothesis": f"{format_name(row['metric'])} on {format_name(row['attribute'])}",
-                "Planted": f"{row['points']:.2g} points per {per} ({row['source']})",
+                "Planted": f"{row['points']:.2g}{unit} ({row['source']})",
                 "Power": planning.format_power(row["power"]), "Simulated": _format_simulated(row),
-                "Detectable": _format(row["detectable"] * size, f" points per {per}"),
-                "Interval": "± " + _format(row["width"] * size / 2, f" points per {per}"),
+                "Detectable": _format(row["detectable"] * size, unit),
+                "Interval": "± " + _format(row["width"] * size / 2, unit),
             })  # fmt: skip
         return rows
 
-    def _list_designs(self, step: Mapping[str, Any]) -> list[dict[str, str]]:
+    def _list_designs(self) -> list[dict[str, str]]:
+        step = self._find_row(self.plan.hypothesis)
         return [
             {
-                "Participants": str(row["people"]), "Recordings": str(row["recordings"]),
-                "Reducers": str(row["reducers"]), "Repeats": str(row["repeats"]), "Trials": str(row["trials"]),
+                **{name.capitalize(): str(row[name]) for name in ("people", *SIZES[1:], "trials")},
                 "Power": planning.format_power(row["power"]), "Simulated": _format_simulated(row),
                 "At most": planning.format_power(row["ceiling"]),
                 f"Detectable, points per {step['per']}": _format(step["size"] * row["detectable"]),
@@ -469,33 +459,32 @@ class StudyPower(results.PageResult):
 
     def _make_page(self, tables: Mapping[str, DataFrame]) -> results.PageParts:
         plan, shown, own = self.plan, self.plan.shown, self.plan.powers[0].design
-        truth = {name: value for name, value in asdict(shown.truth).items() if name != "source"}
         powers = [
             one.design.sizes | {"studies": one.studies, "hypotheses": one.table.to_dict("records")}
             for one in plan.powers
         ]
         content = {
-            "version": __version__, "study": self.name, "answer": self.answer, "verdict": plan.verdict,
-            "wanted": plan.wanted, "hypothesis": list(plan.hypothesis), "share": self.share,
+            "version": __version__, "study": self.task.name, "answer": self.answer, "verdict": plan.verdict,
+            "wanted": plan.wanted, "hypothesis": list(plan.hypothesis), "share": self.task.share,
             "recommended": plan.recommended and plan.recommended.sizes,
             "designs": tables["designs"].to_dict("records"), "powers": powers,
-            "planted": self.effects.to_dict("records"), "truth": asdict(shown.truth), "seed": shown.seed,
-            "notes": list(dict.fromkeys([*self.notes, *plan.notes])),
+            "planted": self.task.effects.to_dict("records"), "truth": asdict(shown.truth), "seed": shown.seed,
+            "notes": list(dict.fromkeys([*self.task.notes, *plan.notes])),
         }  # fmt: skip
         # Of the smallest designs that are enough, which may need hundreds of people, only the recommended one is drawn.
         grid = tables["designs"]
         grid = grid[(grid["kind"] != "smallest") | grid["recommended"].astype(bool)]
         grid = grid[(grid["reducers"] == own.reducers) & (grid["repeats"] == own.repeats)]
         grid = grid.drop_duplicates(["participants", "recordings"])
+        assumed = [
+            {"In the truth": format_name(name), "Points or share": f"{value:.3g}"}
+            for name, value in asdict(shown.truth).items()
+            if isinstance(value, int | float)
+        ]
         grids = {
-            "hypotheses": self._list_hypotheses(),
-            "designs": self._list_designs(self._find_row(plan.hypothesis)),
-            "assumed": [
-                {"In the truth": format_name(name), "Points or share": f"{value:.3g}"}
-                for name, value in truth.items() if not isinstance(value, dict)
-            ],
+            "hypotheses": self._list_hypotheses(), "designs": self._list_designs(), "assumed": assumed,
         }  # fmt: skip
-        people = format_count(shown.design.participants * self.share, "participant")
+        people = format_count(shown.design.participants * self.task.share, "participant")
         units = planning.describe_units(shown.design.recordings, shown.design.reducers)
         values = {
             "result": self, "content": content, "own": own.recordings, "shown": f"{people}, {units}",
@@ -521,35 +510,26 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
     """Draw power against participants, a curve for each number of recordings; own: that of the study."""
     people = sorted(table["people"].unique())
     endless = people[-1] + 0.1 * max(people[-1] - people[0], 1)
-    counts = sorted(table["recordings"].unique())
     with style.print_style():
         figure, axes = style.new_figure(HEIGHT_CM)
         ends = {}
-        for place, number in enumerate(counts):
+        for place, number in enumerate(sorted(table["recordings"].unique())):
             rows = table[table["recordings"] == number].sort_values("people")
-            walk = "-" if number == own else WALKS[(place + 1) % len(WALKS)]
-            colour = style.BLACK if number == own else style.GREY
+            is_own = number == own
+            colour = style.BLACK if is_own else style.GREY
+            walk = "-" if is_own else WALKS[(place + 1) % len(WALKS)]
             axes.plot(rows["people"], rows["power"], color=colour, linestyle=walk, zorder=3)
             seen = rows[rows["simulated"].notna()]
             axes.vlines(seen["people"], seen["simulated_low"], seen["simulated_high"], color=colour)
             axes.plot(
-                seen["people"],
-                seen["simulated"],
-                "o",
-                color="white",
-                markeredgecolor=colour,
-                zorder=5,
-            )
+                seen["people"], seen["simulated"], "o", color="white", markeredgecolor=colour, zorder=5
+            )  # fmt: skip
             ends[number] = float(rows["ceiling"].iloc[-1])
             last = [rows["people"].iloc[-1], endless], [rows["power"].iloc[-1], ends[number]]
             axes.plot(*last, color=colour, linestyle=(0, (2, 2)), linewidth=style.THIN)
         axes.axhline(wanted, color=style.GREY, linewidth=style.THIN, zorder=1)
-        axes.set(
-            xlabel="Participants",
-            ylabel="Power",
-            ylim=(-0.02, 1.04),
-            yticks=np.arange(0, 1.01, 0.2),
-        )
+        axes.set(xlabel="Participants", ylabel="Power", ylim=(-0.02, 1.04))
+        axes.set_yticks(np.arange(0, 1.01, 0.2))
         axes.set_xlim(right=endless)
         axes.grid(axis="y", color=style.PALE, linewidth=style.THIN)
         axes.set_axisbelow(True)
@@ -564,7 +544,6 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
             line = {"color": style.GREY, "linewidth": style.THIN, **stroke}
             axes.plot([1.0, 1.02], [ends[number], height], **line)
             weight = "bold" if number == own else "normal"
-            axes.text(
-                1.03, height, f"{number} recordings", va="center", fontweight=weight, **stroke
-            )
+            name = f"{number} recordings"
+            axes.text(1.03, height, name, va="center", fontweight=weight, **stroke)
     return figure

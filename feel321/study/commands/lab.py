@@ -15,6 +15,7 @@ from cyclopts import Parameter
 from feel321.study.commands import shared
 from feel321.study.commands.shared import File, Json, Participant, Rehearsals, Seed, within
 from feel321.study.folder import StudyFolder, require_study
+from feel321.study.session.journal import PARTICIPANT_ID
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate
@@ -61,6 +62,10 @@ def run(  # noqa: PLR0913 - one parameter per option
     """
     if seed is not None and not simulated:
         shared.refuse_use("--seed needs --simulate-participant; people have no seed")
+    if not PARTICIPANT_ID.fullmatch(participant):
+        shared.refuse_use(
+            f"--participant must be letters (A-Z), digits, - and _, got {participant!r}"
+        )
     from feel321.study.lab import run_participant
     from feel321.study.sessions import read_room
 
@@ -163,17 +168,16 @@ def simulate(
     from feel321.study.simulation import regress_planted
 
     opened = shared.open_study(study)
-    rows = opened.simulate_sessions(participants, seed)
-    planted = regress_planted(opened.settings, opened.stimuli())
+    rows = shared.simulate_sessions(opened, participants, seed)
+    slopes, reducers = regress_planted(opened.settings, opened.stimuli())
     file = str(opened.folder.ratings)
     facts: dict[str, object] = {"participants": participants, "ratings": rows, "file": file}
-    facts |= {"planted_reducers": planted.reducers} if planted.reducers else {}
-    terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.slopes.items()]
-    terms += [f"{points:+.1f} for {reducer}" for reducer, points in planted.reducers.items()]
-    said = f"planted in realism, in points: {', '.join(terms)}"
-    more = "planted: more than the two matches"
-    lines = [f"{file}: {rows} ratings", said if terms else more]
-    shared.print_facts(facts | {"planted": planted.slopes}, lines, as_json=as_json)
+    facts |= {"planted_reducers": reducers} if reducers else {}
+    terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in slopes.items()]
+    terms += [f"{points:+.1f} for {reducer}" for reducer, points in reducers.items()]
+    said = f"in realism, in points: {', '.join(terms)}" if terms else "more than the two matches"
+    lines = [f"{file}: {rows} ratings", f"planted{'' if terms else ':'} {said}"]
+    shared.print_facts(facts | {"planted": slopes}, lines, as_json=as_json)
 
 
 def status(
@@ -199,11 +203,12 @@ def status(
     """
     opened = shared.open_study(study, rehearsals=rehearsals, clears=False)
     if page is not None:
+        from feel321.study.persons.withdrawal import recording_output
         from feel321.study.watch import watch_study
 
         if with_notes or as_json:
             shared.refuse_use("--watch does not go with --notes or --json; leave them out")
-        with shared.recording(opened.folder, "status", page):
+        with recording_output(opened.folder, "status", page, now=opened.now):
             watch_study(opened.folder, page, now=opened.now, announce=shared.echo)
         shared.echo("status: ended", err=True)
         return
@@ -216,6 +221,7 @@ def note(
     *study_text: Annotated[str, Parameter(name="[STUDY] TEXT")],
     participant: Participant,
     rehearsals: Rehearsals = False,
+    as_json: Json = False,
 ) -> None:
     """Write an experimenter's note into a participant's journal.
 
@@ -230,7 +236,8 @@ def note(
     opened = shared.open_study(Path(study or "."), rehearsals=rehearsals)
     if notice := take_note(opened.folder, participant, text, now=opened.now):
         shared.warn(notice)
-    shared.echo(f"{participant}: noted")
+    facts = {"participant": participant, "text": text, "warning": notice}
+    shared.print_facts(facts, [f"{participant}: noted"], as_json=as_json)
 
 
 def collect(
@@ -275,6 +282,7 @@ def withdraw(
     reason: str = "",
     keep_data: bool = False,
     is_sure: Annotated[bool, Parameter(name="--yes")] = False,
+    as_json: Json = False,
 ) -> int:
     """Remove the data of a participant for good, and free the design slot.
 
@@ -300,7 +308,9 @@ def withdraw(
     folder = opened.folder
     if keep_data:
         number = release_participant(folder, participant, now=opened.now)
-        shared.echo(f"{folder.path}: {participant} is released, number {number} is free")
+        line = f"{folder.path}: {participant} is released, number {number} is free"
+        facts: dict[str, object] = {"participant": participant, "number": number, "removed": []}
+        shared.print_facts(facts, [line], as_json=as_json)
         return 0
     if not is_sure:
         if not sys.stdin.isatty():
@@ -313,12 +323,14 @@ def withdraw(
     removed = withdraw_participant(
         folder, participant, now=opened.now, reason=reason, warn=shared.warn
     )
-    place = folder.sessions / participant
-    kept = "; a tombstone keeps the code" if place.exists() else ""
-    shared.echo(
+    has_tombstone = (folder.sessions / participant).exists()
+    kept = "; a tombstone keeps the code" if has_tombstone else ""
+    line = (
         f"{folder.path}: removed {len(removed)} files of {participant}{kept}. "
         "Copies that feel321 did not make must be removed by hand"
     )
+    facts = {"participant": participant, "removed": removed, "tombstone": has_tombstone}
+    shared.print_facts(facts, [line], as_json=as_json)
     return 0
 
 

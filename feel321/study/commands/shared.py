@@ -1,38 +1,28 @@
-"""What several verbs share: options, how a study is opened, progress, output and help."""
+"""What several verbs share: options, how a study is opened, progress and output."""
 
 import inspect
 import json
-import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import wrap
-from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NoReturn, TypeVar
 
-from cyclopts import CycloptsError, Parameter, Token
-from cyclopts.annotations import resolve_optional
+from cyclopts import Parameter, Token
 
 from feel321 import files
-from feel321.doors import announcing, clean_text, follow
-from feel321.study.folder import require_study
+from feel321.doors import clean_text, follow
+from feel321.study.folder import StudyFolder, UsageError, require_study
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
-    from cyclopts import App, Argument
-
     from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
-    from feel321.study.folder import StudyFolder
-
-# How a verb is called.
 
 
-@dataclass(frozen=True, slots=True)
-class Call:
+class Call(NamedTuple):
     """The words of a command line, and how much is printed besides results and errors."""
 
     words: Sequence[str] = ()
@@ -43,38 +33,10 @@ class Call:
 
 CALL: ContextVar[Call] = ContextVar("CALL", default=Call())  # noqa: B039 - a call is never changed
 
-SWITCHES = {
-    "-q": "quiet", "--quiet": "quiet", "-v": "verbose", "--verbose": "verbose", "--traceback": "traceback",
-}  # fmt: skip
-"""Switches that every verb has, in any place."""
-
-
-def read_call(arguments: Sequence[str]) -> Call:
-    """Take the switches that every verb has out of a command line; behind -- all words are the verb's."""
-    end = arguments.index("--") if "--" in arguments else len(arguments)
-    given = {SWITCHES[word]: True for word in arguments[:end] if word in SWITCHES}
-    words = ["--help" if word == "-h" else word for word in arguments[:end] if word not in SWITCHES]
-    return Call((*words, *arguments[end:]), **given)
-
-
-@contextmanager
-def calling(call: Call) -> Iterator[None]:
-    """Print as much as a call wants."""
-    begun, token = monotonic(), CALL.set(call)
-
-    def log(text: str) -> None:
-        echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
-
-    try:
-        with announcing(log if call.verbose else str):
-            yield
-    finally:
-        CALL.reset(token)
-
 
 def refuse_use(text: str) -> NoReturn:
     """Refuse a combination of arguments: exit code 2."""
-    raise CycloptsError(msg=text)
+    raise UsageError(text)
 
 
 # Arguments and options.
@@ -116,7 +78,7 @@ Seed = Annotated[
 ]
 Participant = Annotated[str, Parameter(metavar="ID", help="The participant's code.")]
 Rehearsals = Annotated[bool, Parameter(help="Rehearsals instead of sessions.")]
-Several = Annotated[tuple[str, ...], Parameter(metavar="NAME")]
+Several = Annotated[tuple[str, ...], Parameter(name="--metric", metavar="NAME")]
 
 
 @Parameter(name="*")
@@ -156,7 +118,7 @@ class Reading:
     Parameters
     ----------
     unit
-        Unit of the samples: m/s^2, g or mg.  [default: what the file says]
+        Unit of the samples.  [default: what the file says]
     rate_hz
         Sampling rate in Hz.  [default: what the file says]
     columns
@@ -167,7 +129,7 @@ class Reading:
         Interpolate irregular sampling to an even rate.
     """
 
-    unit: str | None = None
+    unit: Literal["m/s^2", "g", "mg"] | None = None
     rate_hz: Number | None = None
     columns: Annotated[
         tuple[str | int, ...] | None,
@@ -180,8 +142,7 @@ class Reading:
         """Read a recording, and print what was noticed in it."""
         from feel321.stimuli.formats.read import read_recording
 
-        options = {name: getattr(self, name) for name in self.__slots__}
-        recording = read_recording(path, **options)
+        recording = read_recording(path, **{name: getattr(self, name) for name in self.__slots__})
         report_warnings([recording])
         return recording
 
@@ -195,9 +156,65 @@ def open_study(folder: Path, *, rehearsals: bool = False, clears: bool = True) -
     if clears and (swept := [*files.sweep(study.path), *files.sweep_temporary()]):
         names, more = ", ".join(map(str, swept[:5])), len(swept) - 5
         warn(f"removed what an interrupted run left: {names}{f' and {more} more' * (more > 0)}")
-    if rehearsals:
-        study = type(study)(study.path, is_rehearsal=True)
-    return Study(study, wants_bar(), warn=warn)
+    return Study(StudyFolder(study.path, is_rehearsal=rehearsals), wants_bar(), warn=warn)
+
+
+Shown = Callable[..., int | None]
+
+
+def verb(
+    method: Callable[..., Any], *, clears: bool = True, needs_study: bool = True, **hints: object
+) -> Callable[[Shown], Callable[..., int | None]]:
+    """Make a verb of a method of `Study` and of what prints its result.
+
+    hints: what each parameter of the method is as an option; its default and its help are the method's. The options
+    `crew` and `rehearsals` are there if named.
+    """
+    own = inspect.signature(method).parameters
+
+    def decorate(show: Shown) -> Callable[..., int | None]:
+        def call(
+            study: Path = Path(),
+            /,
+            *,
+            as_json: bool = False,
+            rehearsals: bool = False,
+            crew: Crew | None = None,
+            **options: object,
+        ) -> int | None:
+            if crew:
+                options["workers"] = crew.employ()
+            if needs_study:
+                opened = open_study(study, rehearsals=rehearsals, clears=clears)
+            else:
+                opened = Study(StudyFolder(study), wants_bar(), warn=warn)
+            shown = {"out": options.get("out")} if "out" in hints else {}
+            return show(opened, method(opened, **options), as_json=as_json, **shown)
+
+        named = inspect.Parameter.KEYWORD_ONLY
+        place = inspect.Parameter("study", inspect.Parameter.POSITIONAL_ONLY, default=Path())
+        defaults = {"crew": ALONE, "rehearsals": False, "as_json": False}
+        defaults |= {name: one.default for name, one in own.items()}
+        known = {"study": File, **hints, "as_json": Json}
+        options = [
+            inspect.Parameter(name, named, default=defaults[name]) for name in [*hints, "as_json"]
+        ]
+        call.__signature__ = inspect.Signature([place, *options])  # type: ignore[attr-defined]
+        call.__annotations__ = known
+        call.__doc__ = method.__doc__
+        return call
+
+    return decorate
+
+
+def simulate_sessions(opened: Study, participants: int, seed: int | None = None) -> int:
+    """Do as `Study.simulate`, without pandas, which takes a second to import; returns the number of ratings."""
+    from feel321.study.simulation import simulate_study
+
+    with follow(opened.progress, "simulate") as step:
+        return simulate_study(
+            opened.folder, participants=participants, seed=seed, now=opened.now, progress=step, warn=warn
+        )  # fmt: skip
 
 
 Word = TypeVar("Word", str, Path)
@@ -262,8 +279,8 @@ def lay_facts(facts: Mapping[str, Any], indent: str = "") -> Iterator[str]:
 
     for name, fact in (facts if indent else to_json_value(facts)).items():
         several = fact if isinstance(fact, list | tuple) else [fact]
-        if isinstance(several[0] if several else None, Mapping):
-            for one in several:
+        if several and isinstance(several[0], Mapping):
+            for one in filter(None, several):
                 yield f"{indent}{name}:"
                 yield from lay_facts(one, f"{indent}  ")
         elif fact not in (None, "", (), []):
@@ -276,14 +293,6 @@ def dump_json(entry: object) -> str:
     from feel321.records import to_json_value
 
     return json.dumps(to_json_value(entry), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def recording(study: "StudyFolder", verb: str, path: Path) -> AbstractContextManager[None]:
-    """Record what a verb writes outside the study's own places, so that a withdrawal finds it."""
-    from feel321.study.persons.withdrawal import recording_output
-    from feel321.study.session.journal import utc_now
-
-    return recording_output(study, verb, path, now=utc_now)
 
 
 def print_results(folder: Path, *, as_json: bool) -> None:
@@ -306,91 +315,3 @@ def wants_bar() -> bool:
 def show_progress(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
     """Show a progress bar on stderr, if that is a terminal."""
     return follow(wants_bar(), what)
-
-
-# The help, in plain text, from the verbs' type hints and docstrings.
-
-COLUMN, NARROWEST, WIDEST = 34, 40, 100
-
-PROGRAM = (
-    ("--version", "Show the version."),
-    ("--install-completion", "Let this shell complete verbs and options."),
-)
-"""Options of no verb."""
-
-EVERYWHERE = (
-    ("-q, --quiet", "Only results and errors."),
-    ("-v, --verbose", "Print each step as it begins."),
-    ("-h, --help", "Show this text."),
-)
-"""Options of every verb."""
-
-KINDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH", bool: ""}
-"""Type of an option -> what stands behind its name."""
-
-
-def find_example(verb: object) -> str:
-    """Read the first example of a verb's docstring."""
-    return (inspect.getdoc(verb) or "").partition("Example: ")[2].partition("\n")[0]
-
-
-def describe_program(about: str, groups: Mapping[str, Mapping[str, object]]) -> str:
-    """Describe the program: its verbs by group."""
-    lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(about)]
-    lines += ["", "Options:", *_lay_rows([*PROGRAM, *EVERYWHERE])]
-    for title, verbs in groups.items():
-        texts = {name: inspect.getdoc(verb) or "" for name, verb in verbs.items()}
-        rows = [(name, text.partition("\n\n")[0]) for name, text in texts.items()]
-        lines += ["", f"{title}:", *_lay_rows(rows)]
-    return "\n".join([*lines, "", "  Begin with: feel321 demo"])
-
-
-def describe_verb(name: str, app: "App", verb: object) -> str:
-    """Describe a verb: what it does, its arguments and options, and an example."""
-    text = (inspect.getdoc(verb) or "").partition("\n\nParameters\n")[0]
-    *paragraphs, examples = text.split("\n\n")
-    found = app.assemble_argument_collection(parse_docstring=True)
-    places, rows = [], []
-    for one in (one for one in found if one.parse and not one.children):
-        if one.name.startswith("-"):
-            rows.append(_describe_option(one))
-        else:
-            is_several = one.field_info.kind is one.field_info.VAR_POSITIONAL
-            places.append(one.name if is_several or one.required else f"[{one.name}]")
-    lines = [f"Usage: feel321 {name} {' '.join([*places, '[OPTIONS]'])}"]
-    for paragraph in paragraphs:
-        lines += ["", *_fill(paragraph)]
-    lines += ["", "Options:", *_lay_rows([*rows, *EVERYWHERE])]
-    return "\n".join([*lines, "", *(f"  {line}" for line in examples.splitlines())])
-
-
-def _describe_option(argument: "Argument") -> tuple[str, str]:
-    """Name an option with what it takes, and say what it means."""
-    names = ", ".join(sorted(set(argument.names) - set(argument.negatives), key=len))
-    kind = argument.parameter.metavar or KINDS.get(resolve_optional(argument.hint), "NAME")
-    default, choices = argument.field_info.default, argument.get_choices()
-    notes = [f"one of {', '.join(choices)}"] if choices else []
-    if isinstance(default, int | float | str) and default not in {"", False}:
-        notes.append(f"default: {default}")
-    notes += ["required"] if argument.required else []
-    meaning = " ".join([argument.parameter.help or "", *(f"[{note}]" for note in notes)])
-    return f"{names} {kind}".rstrip(), meaning
-
-
-def _lay_rows(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
-    """Lay names beside their meanings, in two columns."""
-    column = min(max(len(name) for name, _ in rows) + 4, COLUMN)
-    for name, text in rows:
-        begin = f"  {name}"
-        if len(begin) + 2 > column:
-            yield begin
-            begin = ""
-        yield from _fill(text, first=f"{begin:<{column}}", rest=" " * column)
-
-
-def _fill(text: str, *, first: str = "  ", rest: str = "  ") -> list[str]:
-    columns = min(max(shutil.get_terminal_size().columns, NARROWEST), WIDEST)
-    words = " ".join(text.split())
-    return wrap(
-        words, columns, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False
-    )

@@ -314,6 +314,8 @@ def tradeoff(  # noqa: PLR0913 - one per option
     from feel321.stimuli.reducers.registry import REDUCERS
     from feel321.study.analyze import find_ratings, gather_recordings
     from feel321.study.methods import list_for_tradeoff
+    from feel321.study.persons.withdrawal import recording_output
+    from feel321.study.session.journal import utc_now
     from feel321.study.settings.read import read_settings
 
     folder, extra = _find_places(places, scenes=scenes)
@@ -346,7 +348,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
         )
         margin = settings.analysis.margin if settings else None
         result = advise_tradeoff(frame, context, ratings=find_ratings(study), margin=margin)
-    with shared.recording(study, "tradeoff", output):
+    with recording_output(study, "tradeoff", output, now=utc_now):
         result.write(output)
     if not as_json:
         shared.echo(result.summary())

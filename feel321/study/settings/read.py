@@ -17,6 +17,7 @@ from feel321.files import create_text, make_folder, temporary_folder, write_text
 from feel321.names import METRIC_INFO, WRITTEN
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, Question, read_ready, read_texts
+from feel321.protocols.threshold import MatchingBlock
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import find_format, read_own, read_recording
@@ -40,6 +41,7 @@ from feel321.study.settings.schema import (
     TaskTable,
 )
 
+NO_METHODS = (ORIGINAL, NO_REFERENCE)
 MOST_TRIALS = 10_000
 """Trials in a session; people do a few hundred, simulated participants somewhat more."""
 
@@ -168,9 +170,6 @@ def add_methods(study: StudyFolder) -> None:
     write_text(study.settings, text + tables)
 
 
-# From settings to signals: recordings and the recipe for the stimuli.
-
-
 def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
     """List the surfaces that participants touch or see, by the names of their recordings."""
     return {
@@ -204,18 +203,20 @@ def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
 def list_unread(settings: Settings, folder: Path) -> list[Unread]:
     """List the recordings of a study as they are to be read."""
     return [
-        Unread(entry.title, open_entry, (entry, folder, settings.formats))
+        Unread(entry.title, _open_entry, (entry, folder, settings.formats))
         for entry in settings.recordings
     ]
 
 
-def open_entry(entry: RecordingTable, folder: Path, formats: Mapping[str, str]) -> Recording:
+def _open_entry(entry: RecordingTable, folder: Path, formats: Mapping[str, str]) -> Recording:
     """Read a recording as its table says."""
     path = folder / (entry.file or "")
     own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
     if entry.scene:
-        length = {"rate_hz": entry.rate_hz or SCENE_RATE_HZ, "duration_s": entry.duration_s}
-        recording = make_scene(entry.scene, rng=entry.seed, **length)
+        rate_hz = entry.rate_hz or SCENE_RATE_HZ
+        recording = make_scene(
+            entry.scene, rng=entry.seed, rate_hz=rate_hz, duration_s=entry.duration_s
+        )
     elif method := find_format(path, folder=folder, declared=formats):
         if given := [name for name, value in own.items() if value]:
             raise ValueError(
@@ -228,10 +229,7 @@ def open_entry(entry: RecordingTable, folder: Path, formats: Mapping[str, str]) 
 
 
 def turn_recording(recording: Recording, rotation: int) -> Recording:
-    """Turn a recording, before any other step, as if its sensor had been mounted in another orientation.
-
-    The number seeds an orientation uniform over all rotations: the same number turns every recording alike.
-    """
+    """Turn a recording as if its sensor had been mounted in another orientation, which the number seeds."""
     import numpy as np
 
     from feel321.stimuli.rotation import random_rotations
@@ -243,10 +241,7 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
 
 
 def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
-    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name.
-
-    folder: of the study, where files of its own reducers and metrics are; the current one if left out.
-    """
+    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
     stimuli = settings.stimuli.model_dump(exclude={"conditioning", "below_threshold"})
     own = {
         "reducers": [find_reducer(settings, name, folder) for name in settings.stimuli.reducers],
@@ -260,21 +255,19 @@ def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
 
 def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
     """Find one of the lab's own reducers; a name of feel321's stays a name."""
-    declared = {key: table.to_facts() for key, table in settings.reducers.items()}
-    if name in {*REDUCERS, ORIGINAL, NO_REFERENCE}:
+    if name in REDUCERS or name in NO_METHODS:
         return name
+    declared = {key: table.to_facts() for key, table in settings.reducers.items()}
     return find_method("reducer", name, taken=REDUCERS, folder=folder, declared=declared)
 
 
 def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Method:
     """Find one of the lab's own metrics; a name of feel321's stays a name."""
-    declared = {key: table.to_facts() for key, table in settings.metrics.items()}
     if name in METRICS:
         return name
+    declared = {key: table.to_facts() for key, table in settings.metrics.items()}
     return find_method("metric", name, taken=METRICS, folder=folder, declared=declared)
 
-
-# From settings to sessions: texts, design, and what a journal's header says of them.
 
 CONSENT = "consent"
 """The page whose text a lab can set by itself."""
@@ -300,15 +293,11 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
 
 
 def make_design(settings: Settings, folder: Path | None = None) -> Design:
-    """Make the design: all that a study decides about the sessions of its participants.
-
-    folder: that of the study, where a file of its own may hold the texts of ready questions.
-    """
+    """Make the design of the sessions; a file in the study's folder may hold the texts of ready questions."""
     session = settings.session
-    rehearsal = session.rehearsal.model_dump(by_alias=True)
-    rounds = {name: rehearsal.pop(name) for name in ("training", "practice")}
+    rehearsal, breaks, matching = session.rehearsal, session.breaks, session.matching
+    rounds = {"training": rehearsal.training, "practice": rehearsal.practice}
     tables = {name: settings.tasks.get(name, TaskTable()) for name in session.protocols}
-    breaks, quality = session.breaks.model_dump(by_alias=True), session.quality.model_dump()
     questions: list[Question] = []
     for table in session.questions:
         if table.use:
@@ -324,9 +313,20 @@ def make_design(settings: Settings, folder: Path | None = None) -> Design:
         recordings_per_participant=session.recordings_per_participant,
         tasks=tuple(table.make_task(name, **rounds) for name, table in tables.items()),
         between=dict(settings.between),
-        flow=Flow(**rehearsal, **breaks, **quality),
+        flow=Flow(
+            training_pass=rehearsal.pass_share,
+            training_rounds=rehearsal.rounds,
+            break_trials=breaks.every_trials,
+            break_min=breaks.every_min,
+            break_s=breaks.break_s,
+            rest_s=breaks.rest_s,
+            **session.quality.model_dump(),
+        ),
         threshold=session.threshold.make_block() if session.threshold else None,
-        matching=session.matching.make_block(settings.stimuli.levels) if session.matching else None,
+        # The last of the set's levels is matched where none is named.
+        matching=MatchingBlock(matching.level or settings.stimuli.levels[-1], matching.repeats)
+        if matching
+        else None,
         questions=tuple(questions),
     )
 
@@ -338,10 +338,7 @@ def make_identity(
     *,
     calibration: dict[str, str] | str | None = None,
 ) -> dict[str, Any]:
-    """List what must not change within a session besides its plan, for the header of its journal.
-
-    calibration: identity of the rig's certificate, or that there is none; None where no rig plays.
-    """
+    """List what must not change within a session besides its plan, for the header of its journal."""
     texts = read_study_texts(settings, folder)
     methods = {one.name: one.sha256 for one in make_recipe(settings, folder).methods}
     methods |= digest_protocols(settings.session.protocols)
@@ -365,15 +362,10 @@ def make_terms(design: Design, settings: Settings, folder: Path) -> dict[str, An
     return own | {name: identity.get(name) for name in ("locale", "texts_sha256", "rig", "methods")}
 
 
-# What each table of `study.toml` may say by itself, but not together with the others.
-
-
 def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
-    checks = (
-        _check_methods, _check_metrics, _check_stimuli, _check_tasks, _check_scales, _check_between,
-    )  # fmt: skip
+    checks = (_check_methods, _check_stimuli, _check_tasks)
     if found := [line for check in checks for line in check(settings)]:
         return found
     tasks = make_design(settings).tasks
@@ -383,20 +375,17 @@ def find_conflicts(settings: Settings) -> list[str]:
 
 
 def _check_methods(settings: Settings) -> Iterator[str]:
-    """Refuse tables that would replace a method of feel321's: they would be left unread."""
-    taken = {"reducers": {*REDUCERS, ORIGINAL, NO_REFERENCE}, "metrics": METRICS}
-    for kind, names in taken.items():
-        for name, table in getattr(settings, kind).items():
-            if name in names and (kind == "reducers" or table.use or table.command):
-                yield f"{kind}.{name}: the name is taken by one of feel321's own; give yours another"
+    """Refuse unknown metrics, and tables that would replace a method of feel321's: they would be left unread."""
+    coded = [name for name, one in settings.metrics.items() if one.use or one.command]
+    own = [
+        ("reducers", name) for name in settings.reducers if name in REDUCERS or name in NO_METHODS
+    ]
+    for kind, name in (*own, *(("metrics", name) for name in coded if name in METRICS)):
+        yield f"{kind}.{name}: the name is taken by one of feel321's own; give yours another"
     for name, table in settings.metrics.items():
-        if name in METRIC_INFO and table.higher not in {None, METRIC_INFO[name].higher}:
-            right = METRIC_INFO[name].higher
+        if name in METRIC_INFO and table.higher not in {None, (right := METRIC_INFO[name].higher)}:
             yield f"metrics.{name}.higher must be {right!r} for this metric, got {table.higher!r}; remove it"
-
-
-def _check_metrics(settings: Settings) -> Iterator[str]:
-    """Refuse unknown names of further metrics; a lab's own is not imported yet."""
+    # A lab's own is not imported yet.
     further = [name for name in METRICS if name not in WRITTEN]
     for number, name in enumerate(settings.stimuli.metrics, start=1):
         if name in WRITTEN:
@@ -429,12 +418,18 @@ def _check_tasks(settings: Settings) -> Iterator[str]:
             except ValueError as error:
                 faults.append(str(error))
         yield from dict.fromkeys(faults[:-1] or faults)
-
-
-def _check_scales(settings: Settings) -> Iterator[str]:
-    """Check that every scale has its words; those in a file of the lab's own are found when it is read."""
+    # Words in a file of the lab's own are found when it is read.
     if not settings.session.language.endswith(LANGUAGE_FILE):
         yield from _find_mute_scales(settings, read_texts(settings.session.language)["scales"])
+    places = {
+        "level": ("stimuli.levels", settings.stimuli.levels),
+        "protocol": ("session.protocols", settings.session.protocols),
+    }
+    for factor, (place, allowed) in places.items():
+        for name in settings.between.get(factor, ()):
+            if name not in allowed:
+                rule = f"must be one of {', '.join(allowed)}, got {name!r}"
+                yield f"between.{factor} {rule}; or add it to {place}"
 
 
 def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[str]:
@@ -450,18 +445,6 @@ def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[
             hint = f"did you mean {near[0]!r}? Or " if near else ""
             remedy = f"{hint}add [scales.{name}] with question, low and high"
             yield f"tasks.{task}.scales: {name!r} has no words; {remedy}"
-
-
-def _check_between(settings: Settings) -> Iterator[str]:
-    places = {
-        "level": ("stimuli.levels", settings.stimuli.levels),
-        "protocol": ("session.protocols", settings.session.protocols),
-    }
-    for factor, (place, allowed) in places.items():
-        for name in settings.between.get(factor, ()):
-            if name not in allowed:
-                rule = f"must be one of {', '.join(allowed)}, got {name!r}"
-                yield f"between.{factor} {rule}; or add it to {place}"
 
 
 def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:

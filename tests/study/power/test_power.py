@@ -27,9 +27,9 @@ GRID = ["--participants", "6,12", "--recordings", "4,8", "--reducers", "5", "--r
 
 
 def plan(task: PowerTask, folder: Path, **more: Any) -> StudyPower:
-    return power.plan_study(
-        task, keep=folder, workers=ALONE, progress=lambda _d, _a: None, **{"studies": 0, **more}
-    )
+    sizes = {name: more.pop(name) for name in power.SIZES if name in more}
+    options = {"studies": 0, "workers": ALONE, "progress": lambda _d, _a: None, **more}
+    return power.plan_study(task, sizes, keep=folder, **options)
 
 
 def plant(task: PowerTask, points: float) -> PowerTask:
@@ -112,7 +112,7 @@ def test_answer_is_for_the_given_slopes_and_one_scale_goes_first(
     }  # fmt: skip
     found = plan(task, tmp_path, participants=12)
     assert found.plan.hypothesis == ("similarity", "temporal_match")
-    assert any("Slopes without --effect" in note for note in found.notes)
+    assert any("Slopes without --effect" in note for note in found.task.notes)
 
 
 def test_a_study_without_stimuli_is_built_first(tmp_path: Path) -> None:
