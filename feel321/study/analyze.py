@@ -1,9 +1,10 @@
 """Steps of a study that need the analysis: the report, and the recordings for the trade-off."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
+from math import nan
 from pathlib import Path
 from shlex import quote
 
@@ -38,8 +39,6 @@ from feel321.types import MetricInfo
 
 Progress = Callable[[int, int], None]
 
-# The report: of a study's own ratings, or of tables from elsewhere.
-
 
 def analyze_study(  # noqa: PLR0913 - one per choice
     study: StudyFolder,
@@ -57,20 +56,22 @@ def analyze_study(  # noqa: PLR0913 - one per choice
 
     finish: writes what else belongs into the folder of the report, before the checkpoint.
     """
-    settings = _read_settings(study, ratings, manifest)
+    if None in {ratings, manifest}:  # only where both come from elsewhere may there be no study
+        require_study(study.path)
+    settings = read_settings(study.settings) if study.settings.is_file() else None
     chosen = settings.analysis if settings else AnalysisTable()
-    further, about, asked = Further(pd.DataFrame(), ()), About(), metrics or ()
+    further, about = Further(pd.DataFrame(), ()), About()
     if settings:
         day = ""
         if ratings is None:
             further, day = _derive_tables(study, settings, metrics or chosen.metrics)
-        if asked and set(asked) != set(chosen.metrics):
+        if metrics and set(metrics) != set(chosen.metrics):
             said = f"{study.settings.name} declares {', '.join(chosen.metrics)}."
-            note = f"Metrics {', '.join(asked)} were asked for with this analysis; {said}"
+            note = f"Metrics {', '.join(metrics)} were asked for with this analysis; {said}"
             further = replace(further, notes=(*further.notes, note))
         further = replace(further, labels=list_labels(settings))
         own = not (ratings or manifest)
-        standing = make_standing(study, settings, metrics=asked, draws=draws, own=own)
+        standing = make_standing(study, settings, metrics=metrics or (), draws=draws, own=own)
         protocols = tuple(settings.session.protocols)
         about = About(settings.study.name, day, protocols, standing=standing)
     listed, folder = manifest or study.manifest, out or study.report
@@ -99,19 +100,11 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     return results
 
 
-def _read_settings(study: StudyFolder, *inputs: Path | None) -> Settings | None:
-    """Read the settings of a study; where ratings and manifest come from elsewhere, there may be none."""
-    if None in inputs:
-        require_study(study.path)
-    return read_settings(study.settings) if study.settings.is_file() else None
-
-
-def read_study_table(study: StudyFolder) -> tuple[Table, int]:
-    """Read the ratings that a report would be about, and the seed of that report."""
+def read_study_table(study: StudyFolder) -> Table:
+    """Read the ratings that a report would be about."""
     settings = read_settings(require_study(study.path).settings)
-    if not write_ratings(study, read_stimuli(study.stimuli)):
-        raise ValueError(f"{study.path}: no ratings yet; run sessions first")
-    table = read_table(
+    _require_ratings(study)
+    return read_table(
         study.ratings,
         study.manifest,
         metrics=settings.analysis.metrics,
@@ -119,7 +112,12 @@ def read_study_table(study: StudyFolder) -> tuple[Table, int]:
         further=measure_declared(study, settings),
         info=list_info(settings),
     )
-    return table, settings.study.seed
+
+
+def _require_ratings(study: StudyFolder) -> None:
+    if not write_ratings(study, read_stimuli(study.stimuli)):
+        simulate = f"feel321 simulate {quote(str(study.path))}"
+        raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
 
 
 def _derive_tables(
@@ -129,37 +127,28 @@ def _derive_tables(
     announce("ratings from the journals")
     everybody = list_progress(study)
     write_roster(study, everybody)
-    stimuli = read_stimuli(study.stimuli)
-    if not write_ratings(study, stimuli):
-        simulate = f"feel321 simulate {quote(str(study.path))}"
-        raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
+    _require_ratings(study)
     write_answers(study)
+    stimuli = read_stimuli(study.stimuli)
     matched = write_matches(study, stimuli)
-    _write_dictionary(study, settings)
+    own = [study.path / name for name in (ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)]
+    paths = (path for path in (study.ratings, *own, study.manifest) if path.is_file())
+    rows = make_dictionary({path.name: pd.read_csv(path) for path in paths}, list_info(settings))
+    groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
+    rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
+    write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
     announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
-    notes = [
+    methods = [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]
+    said = "Reducers and metrics of the lab's own, with the SHA-256 of their code"
+    notes = (
         *further.notes,
         *describe_matches(matched),
         *note_estimates(everybody),
         *note_given_up(everybody),
-    ]
-    if methods := [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]:
-        said = "Reducers and metrics of the lab's own, with the SHA-256 of their code"
-        notes.append(f"{said}: {', '.join(methods)}.")
-    day = max((one.rated_utc[:10] for one in everybody), default="")
-    return replace(further, notes=tuple(notes)), day
-
-
-def _write_dictionary(study: StudyFolder, settings: Settings) -> None:
-    """Describe the columns of the study's own tables, beside them."""
-    own = [study.path / name for name in (ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)]
-    paths = (path for path in (study.ratings, *own, study.manifest) if path.is_file())
-    tables = {path.name: pd.read_csv(path) for path in paths}
-    rows = make_dictionary(tables, list_info(settings))
-    groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
-    rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
-    write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
+        *([f"{said}: {', '.join(methods)}."] if methods else []),
+    )
+    return replace(further, notes=notes), max((one.rated_utc[:10] for one in everybody), default="")
 
 
 def list_labels(settings: Settings) -> pd.DataFrame:
@@ -184,13 +173,11 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> Pap
         return None
     claims = []
     for table in paper.claims:
-        number = table.paper.model_dump() if table.paper else {}
-        ends = [number.get(key) for key in ("value", "low", "high")]
-        value, low, high = (float("nan") if one is None else float(one) for one in ends)
-        own = table.model_dump(exclude={"paper"}) | {
-            "options": table.options.model_dump(exclude_none=True)
-        }
-        claims.append(PaperClaim(paper=(value, low, high), **own))
+        own = table.model_dump(exclude={"paper", "options"})
+        ends = (table.paper.value, table.paper.low, table.paper.high) if table.paper else ()
+        value, low, high = (nan if one is None else one for one in ends or (None,) * 3)
+        options = table.options.model_dump(exclude_none=True)
+        claims.append(PaperClaim(paper=(value, low, high), options=options, **own))
     published = [
         {**one.model_dump(exclude={"numbers"}), "reducer": reducer, "paper": value}
         for one in paper.published
@@ -200,16 +187,13 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> Pap
     return Paper(paper.citation, paper.doi, paper.seen, tuple(claims), frame, mountings)
 
 
-# What the trade-off works on: a study's recordings, the bundled scenes, recordings from elsewhere.
-
-SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".xml", ".ide"})
-"""Files in a folder that are taken for recordings; a single file is read whatever it is called."""
+# What the trade-off works on.
 
 
 def gather_recordings(
     folder: Path, *, scenes: bool = False, extra: Sequence[Path] = ()
 ) -> tuple[Recording, ...]:
-    """Gather the recordings that methods are compared on.
+    """Gather the recordings that methods are compared on: a study's, the bundled scenes, files from elsewhere.
 
     All are conditioned as the study's own, because that is what participants feel; its crop, which names times in the
     study's recordings, is done to those alone. Of equal recordings the first is kept; a name that is taken gets a
@@ -217,7 +201,6 @@ def gather_recordings(
     """
     study = StudyFolder(folder) if scenes or extra else require_study(folder)
     found: list[Recording] = []
-    mistakes: list[str] = []
     steps = Conditioning()
     if study.settings.is_file():
         settings = read_settings(study.settings)
@@ -225,11 +208,13 @@ def gather_recordings(
         steps = make_recipe(settings, folder).conditioning
     n_own = len(found)
     others = [make_scene(name) for name in SCENES] if scenes else []
-    others += (read_recording(path) for path in _list_files(extra))
-    for one in others:
+    for one in (*others, *map(read_recording, extra)):
         if one.sha256 not in {former.sha256 for former in found}:
-            found.append(replace(one, name=_name_apart(one.name, {each.name for each in found})))
-    ready = []
+            taken = {each.name for each in found}
+            numbered = (f"{one.name} ({number})" for number in count(2))
+            name = next(name for name in chain([one.name], numbered) if name not in taken)
+            found.append(replace(one, name=name))
+    ready, mistakes = list[Recording](), list[str]()
     for place, recording in enumerate(found):
         try:
             crop_s = steps.crop_s if place < n_own else None
@@ -241,11 +226,6 @@ def gather_recordings(
     return tuple(ready)
 
 
-def _name_apart(name: str, taken: Collection[str]) -> str:
-    numbered = (f"{name} ({number})" for number in count(2))
-    return next(one for one in chain([name], numbered) if one not in taken)
-
-
 def find_ratings(study: StudyFolder) -> Table | None:
     """Find the ratings of a study, as analyze does: derived from its journals, or a table that was put there."""
     if study.journals:
@@ -253,17 +233,3 @@ def find_ratings(study: StudyFolder) -> Table | None:
     else:
         rated = study.ratings.is_file() and study.manifest.is_file()
     return read_table(study.ratings, study.manifest) if rated else None
-
-
-def _list_files(paths: Sequence[Path]) -> Iterator[Path]:
-    for path in paths:
-        entries = [path]
-        if path.is_dir():
-            own = path.glob("[!.]*")
-            entries = sorted(one for one in own if one.is_file() and one.suffix.lower() in SUFFIXES)
-        if not entries:
-            suffixes = " ".join(sorted(SUFFIXES))
-            raise FileNotFoundError(
-                f"{path}: no recordings in this folder; name another, or files ending in {suffixes}"
-            )
-        yield from entries

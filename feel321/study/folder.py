@@ -51,13 +51,7 @@ class UsageError(ValueError):
 
 
 def name_delivered(number: int) -> str:
-    """Name the file of a playback.
-
-    Examples
-    --------
-    >>> name_delivered(12)
-    '0012.wav'
-    """
+    """Name the file of a playback."""
     return f"{number:04}.wav"
 
 
@@ -91,6 +85,11 @@ class StudyFolder:
         return self.path / "stimuli"
 
     @property
+    def manifest(self) -> Path:
+        """The table of stimuli."""
+        return self.stimuli / "manifest.csv"
+
+    @property
     def sessions(self) -> Path:
         """One folder per participant."""
         return self.path / ("rehearsals" if self.is_rehearsal else "sessions")
@@ -106,11 +105,6 @@ class StudyFolder:
         return self.path / "ratings.csv"
 
     @property
-    def manifest(self) -> Path:
-        """The table of stimuli."""
-        return self.stimuli / "manifest.csv"
-
-    @property
     def report(self) -> Path:
         """The folder of the report."""
         return self.path / "report"
@@ -118,7 +112,7 @@ class StudyFolder:
     @property
     def participants(self) -> list[Path]:
         """The participants' folders, sorted; one that a crash left with nothing but its lock was not begun."""
-        return [entry for entry in self._entries if _is_ours(entry) and any(entry.glob("[!.]*"))]
+        return [one for one in self._list_entries(ours=True) if any(one.glob("[!.]*"))]
 
     @property
     def planned(self) -> list[Path]:
@@ -131,7 +125,7 @@ class StudyFolder:
     @property
     def strangers(self) -> list[Path]:
         """What else lies beside the participants' folders, sorted: copies, and what drives and programs leave."""
-        return [entry for entry in self._entries if not _is_ours(entry)]
+        return self._list_entries(ours=False)
 
     @property
     def journals(self) -> list[Path]:
@@ -165,10 +159,11 @@ class StudyFolder:
         if path.is_file() and self.sessions.is_dir() and is_of_group(self.sessions):
             path.chmod(0o640)
 
-    @property
-    def _entries(self) -> list[Path]:
+    def _list_entries(self, *, ours: bool) -> list[Path]:
         # Hidden ones are the system's, or a file that is being written.
-        return sorted(self.sessions.glob("[!.]*"))
+        entries = sorted(self.sessions.glob("[!.]*"))
+        codes = {one for one in entries if PARTICIPANT_ID.fullmatch(one.name) and one.is_dir()}
+        return [one for one in entries if (one in codes) is ours]
 
 
 def name_all(read: Callable[[Path], Read], folders: Iterable[Path]) -> list[Read]:
@@ -184,18 +179,8 @@ def name_all(read: Callable[[Path], Read], folders: Iterable[Path]) -> list[Read
     return found
 
 
-def _is_ours(entry: Path) -> bool:
-    return entry.is_dir() and PARTICIPANT_ID.fullmatch(entry.name) is not None
-
-
 def list_bundled() -> tuple[str, ...]:
-    """List the studies that are ready to be run: published ones, and designs of our own.
-
-    Examples
-    --------
-    >>> list_bundled()
-    ('airotouch', 'generated', 'landin2010', 'lee2022', 'park2019')
-    """
+    """List the studies that are ready to be run: published ones, and designs of our own."""
     names = (entry.name for entry in BUNDLED.iterdir() if entry.name.endswith(".toml"))
     return tuple(sorted(name.removesuffix(".toml") for name in names))
 
@@ -206,7 +191,7 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     bundled: which ready study it is to be; if left out, one of bundled scenes, with the settings that labs change
     first. Methods of its own that it names are written beside it.
     """
-    text = read_template() if bundled is None else read_bundled(bundled)
+    text = read_template(bundled)
     study = StudyFolder(path)
     make_folder(path / "recordings")
     create_text(study.settings, text)
@@ -234,12 +219,9 @@ def require_study(path: Path) -> StudyFolder:
     return study
 
 
-def read_template() -> str:
-    """Read the `study.toml` that a new study begins with."""
-    return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
-
-
-def read_bundled(name: str) -> str:
-    """Read the `study.toml` of a published study."""
-    check_name(name, list_bundled(), "study")
-    return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
+def read_template(bundled: str | None = None) -> str:
+    """Read the `study.toml` that a new study begins with, or that of a ready study."""
+    if bundled is None:
+        return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
+    check_name(bundled, list_bundled(), "study")
+    return (BUNDLED / f"{bundled}.toml").read_text(encoding="utf-8")

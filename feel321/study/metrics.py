@@ -26,17 +26,14 @@ from feel321.study.sessions import find_changes
 from feel321.study.settings.read import list_unread, make_recipe
 from feel321.study.settings.schema import Settings
 
-# Rival metrics, for an analysis that compares them with the match metrics.
+Given = Sequence[Recording | Unread]
 
 
-def measure_rivals(
-    recordings: Sequence[Recording | Unread], stimuli: StimulusSet, recipe: Recipe
-) -> pd.DataFrame:
-    """Measure every rival metric that the manifest lacks, for every test stimulus.
+def measure_rivals(recordings: Given, stimuli: StimulusSet, recipe: Recipe) -> pd.DataFrame:
+    """Measure every rival metric that the manifest lacks, for every test stimulus; index stimulus_id.
 
     Like the manifest's match metrics they are those of the reduction: of the recording conditioned by the recipe, at
-    its own rate, before level, resampling and fades. Index stimulus_id, a column per metric, NaN where there is nothing
-    to compare.
+    its own rate, before level, resampling and fades. NaN where there is nothing to compare.
     """
     tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
     made: dict[str, set[str]] = defaultdict(set)
@@ -81,10 +78,10 @@ def add_rivals(
 
 def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread], Recipe, str]:
     """List a study's recordings, if the stimuli are still those of them; else give the reason."""
-    sources: list[Unread] = []
+    sources, problems = list[Unread](), list[str]()
     digests: dict[str, str | None] = {}
     recipe = make_recipe(settings, study.path)
-    lead, problems = "The recordings cannot be read as they were when the set was built", []
+    lead = "The recordings cannot be read as they were when the set was built"
     for source in list_unread(settings, study.path):
         try:
             recording = source.read()
@@ -102,10 +99,9 @@ def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread
     return sources, recipe, reason
 
 
-# How the metrics of a study's stimuli depend on the way the sensor was mounted: explored, or declared as predictors.
-# The manifest has the metrics of each recording as it is. Another orientation of the sensor would have given another
-# signal and other metrics, though people would have felt the same tool: mean and spread over orientations (Park &
-# Kuchenbecker 2019, doi:10.1109/WHC.2019.8816148) belong to the recording and the reducer alone.
+# How the metrics depend on the way the sensor was mounted. Another orientation would have given another signal and
+# other metrics, though people would have felt the same tool: mean and spread over orientations (Park & Kuchenbecker
+# 2019, doi:10.1109/WHC.2019.8816148) belong to the recording and the reducer alone.
 
 MOST, LEAST = 64, 16
 """Orientations: the mean is then known to 1/8 of their spread, or to 1/4 where there is so much to reduce."""
@@ -114,8 +110,7 @@ AFFORDABLE = 400_000_000
 """Samples, of all orientations, reducers and axes, that are reduced: about five seconds on two cores."""
 
 DECLARED = 4
-"""Times as many orientations, and as much work, for statistics that the analysis declares as predictors: an
-association is weakened by what a predictor is uncertain."""
+"""Times as many orientations for declared predictors: an association is weakened by what a predictor is uncertain."""
 
 DIGITS = 9
 """Decimals: below, a spread that should be zero is rounding error."""
@@ -128,10 +123,7 @@ def measure_rotations(
     *,
     metrics: Sequence[str] | None = None,
 ) -> Further:
-    """Compute mean and spread of the metrics over sensor orientations for every test stimulus.
-
-    metrics: those that the analysis is about; left out, as the study declares them.
-    """
+    """Describe the metrics over sensor orientations for every test stimulus; metrics: that the analysis is about."""
     recordings, recipe, reason = _read_unchanged(study, settings)
     if reason:
         note = f"{reason}. Rotation statistics of the metrics are left out."
@@ -145,13 +137,10 @@ def measure_rotations(
         entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
         for entry in settings.recordings
     }
+    effort = DECLARED if set(wanted) & set(ROTATIONS) else 1
+    seed = settings.study.seed
     return compute_rotations(
-        recordings,
-        stimuli,
-        recipe=recipe,
-        seed=settings.study.seed,
-        effort=DECLARED if set(wanted) & set(ROTATIONS) else 1,
-        copies=copies,
+        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
     )
 
 
@@ -163,20 +152,19 @@ def measure_declared(study: StudyFolder, settings: Settings) -> Further | None:
 
 
 def compute_rotations(
-    recordings: Sequence[Recording | Unread],
+    recordings: Given,
     stimuli: StimulusSet,
     *,
     recipe: Recipe,
     seed: int,
     effort: int = 1,
-    copies: Mapping[str, str] | None = None,
+    copies: Mapping[str, str] = {},
 ) -> Further:
     """Condition recordings, rotate them, reduce them, and describe their metrics; a command would take too long.
 
     effort: how many times the usual orientations; copies: recording -> the one that it is a turned copy of, or itself.
     Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
     """
-    copies = copies or {}
     commands = {one.name for one in recipe.methods if not one.is_python}
     tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
     reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
@@ -185,10 +173,10 @@ def compute_rotations(
         return Further(pd.DataFrame(), (note,))
     own = [find_reducer(recipe, name) for name in reducers]
     first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
-    sizes = [
+    size = sum(
         one.size if isinstance(one, Unread) else one.acceleration.size for one in first.values()
-    ]
-    affordable = effort * AFFORDABLE // (sum(sizes) * len(reducers))
+    )
+    affordable = effort * AFFORDABLE // (size * len(reducers))
     n_turns = min(effort * MOST, max(effort * LEAST, affordable))
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
@@ -216,11 +204,12 @@ def compute_rotations(
         index=pd.Index([one.stimulus_id for one in tests], name="stimulus_id"),
         columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
     )
-    shares = {"q05": 0.05, "q50": 0.5, "q95": 0.95}
     mountings = [
         {"recording": recording, "reducer": reducer, "metric": metric}
         | {"mounting_mean": float(values.mean())}
-        | dict(zip(shares, np.quantile(values, [*shares.values()]).tolist(), strict=True))
+        | dict(
+            zip(("q05", "q50", "q95"), np.quantile(values, [0.05, 0.5, 0.95]).tolist(), strict=True)
+        )
         for recording, found in matches.items()
         for reducer, of_reducer in zip(reducers, found, strict=True)
         for metric, values in zip(MATCHES, of_reducer, strict=True)

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from functools import partial
-from itertools import count, islice
+from itertools import count
 from threading import Event, Lock
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -50,11 +50,7 @@ class Planted(NamedTuple):
 
 
 def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
-    """Compute what simulated participants plant in realism ratings, after clipping at the ends of the scale.
-
-    Slopes and terms of reducers are those of one regression, within recordings, of the mean ratings of careful
-    participants.
-    """
+    """Compute what simulated participants plant in realism ratings: a regression within recordings, after clipping."""
     import numpy as np
 
     model = make_model(settings)
@@ -95,7 +91,7 @@ def simulate_study(
     require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
     room = open_room(study, settings, stimuli, now=now)
-    notices = run_simulation(room, settings, participants, seed=seed, progress=progress)
+    notices = _run_sessions(room, participants, seed=seed, progress=progress)
     write_roster(study)
     write_matches(study, stimuli)
     write_answers(study)
@@ -107,16 +103,11 @@ def simulate_study(
     return rows
 
 
-def run_simulation(
-    room: Room,
-    settings: Settings,
-    participants: int,
-    *,
-    seed: int,
-    progress: Callable[[int, int], None] | None = None,
+def _run_sessions(
+    room: Room, participants: int, *, seed: int, progress: Callable[[int, int], None] | None
 ) -> list[str]:
     """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
-    names = list_participants(room.study, participants)
+    settings, names = room.settings, list_participants(room.study, participants)
     plans = plan_sessions(room, settings, names, simulated=True)
     casting = cast_observers(settings, seed=seed)
     total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
@@ -153,15 +144,16 @@ def run_simulation(
 
 def list_participants(study: StudyFolder, number: int) -> list[str]:
     """List the codes of simulated participants, without those who were released or withdrawn."""
-
-    def is_here(name: str) -> bool:
-        folder = study.sessions / name
+    names: list[str] = []
+    for place in count(1):
+        if len(names) == number:
+            break
+        folder = study.sessions / f"sim{place:03d}"
         journals = list_journals(folder)
-        if (folder / TOMBSTONE_FILE).exists():
-            return False
-        return not (journals and read_journal(journals[-1]).records.has(SessionReleased))
-
-    return list(islice(filter(is_here, (f"sim{place:03d}" for place in count(1))), number))
+        released = journals and read_journal(journals[-1]).records.has(SessionReleased)
+        if not (released or (folder / TOMBSTONE_FILE).exists()):
+            names.append(folder.name)
+    return names
 
 
 @contextmanager

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
@@ -14,8 +13,6 @@ from feel321.study.folder import StudyFolder, UsageError, create_study, require_
 from feel321.study.session.journal import Clock, utc_now
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from pandas import DataFrame
 
     from feel321.analysis.report.write import Results
@@ -25,7 +22,6 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.findings import Audit, Problems, Seal
     from feel321.study.power import StudyPower
-    from feel321.study.session.plan import Dossier
     from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
     from feel321.types import PathLike, Progress, Rng
@@ -201,6 +197,7 @@ class Study:
         """
         from feel321.study.analyze import analyze_study
         from feel321.study.export.narrative import write_methods
+        from feel321.study.persons.withdrawal import recording_output
 
         if manifest is not None and ratings is None:
             raise UsageError("--manifest needs --ratings; give both, or --ratings alone in a study")
@@ -209,7 +206,8 @@ class Study:
                 "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
             )
         target = self.folder.report if out is None else as_path(out)
-        with self._recording("analyze", target), follow(self.progress, "analyze") as step:
+        recording = recording_output(self.folder, "analyze", target, now=self.now)
+        with recording, follow(self.progress, "analyze") as step:
             return analyze_study(
                 self.folder,
                 ratings=None if ratings is None else as_path(ratings),
@@ -328,12 +326,14 @@ class Study:
         from feel321.analysis.report.folder import check_target
         from feel321.jobs import as_workers
         from feel321.study import power
+        from feel321.study.persons.withdrawal import recording_output
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
         given = None if manifest is None else as_path(manifest, "manifest")
         sizes = [participants, recordings, reducers, repeats]
-        with self._recording("power", target), follow(self.progress, "power") as step:
+        recording = recording_output(self.folder, "power", target, now=self.now)
+        with recording, follow(self.progress, "power") as step:
             task = power.set_up(
                 self.folder, effects=effects, pilot=pilot, pilot_manifest=given, wanted=wanted
             )
@@ -382,51 +382,6 @@ class Study:
 
         return read_stimuli(self.folder.stimuli)
 
-    def plan(self, participant: str, *, blind: bool = True) -> DataFrame:
-        """Read the plan of a participant.
-
-        Parameters
-        ----------
-        participant : str
-            The participant's code.
-        blind : bool
-            Whether stimuli keep their codes; if False, they are named.
-        """
-        import pandas as pd
-
-        from feel321.study.session.plan import list_codes
-
-        plan = self._find(participant).plan
-        rows = [
-            {**asdict(trial), **asdict(judgement), "scale": judgement.scale or trial.scale}
-            for trial in plan.trials
-            for judgement in trial.judgements
-        ]
-        frame = pd.DataFrame(rows).drop(columns=["parts", "judgements"])
-        if not blind:
-            named = list_codes(self.stimuli(), seed=plan.seed)
-            codes = {code: name for name, code in named.items()}
-            columns = ["stimulus_id", "reference_id"]
-            frame[columns] = frame[columns].replace(codes)
-        return frame
-
-    def journal(self, participant: str) -> DataFrame:
-        """Read the journals of a participant.
-
-        Parameters
-        ----------
-        participant : str
-            The participant's code.
-        """
-        import pandas as pd
-
-        rows = [
-            (number, record.sequence, record.utc, record.event, dict(record.data))
-            for number, chain in enumerate(self._find(participant).chains, start=1)
-            for record in chain.records
-        ]
-        return pd.DataFrame(rows, columns=["session", "sequence", "utc", "event", "data"])
-
     def ratings(self) -> DataFrame:
         """Derive the ratings from the journals."""
         import pandas as pd
@@ -436,19 +391,11 @@ class Study:
         write_ratings(self.folder, self.stimuli())
         return pd.read_csv(self.folder.ratings)
 
-    def answers(self) -> DataFrame:
-        """Derive the answers to question pages from the journals; personal ones are marked so."""
-        import pandas as pd
-
-        from feel321.study.persons.answers import COLUMNS, write_answers
-
-        return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
-
     def table(self) -> Table:
         """Join ratings and metrics for the analysis."""
         from feel321.study.analyze import read_study_table
 
-        return read_study_table(self.folder)[0]
+        return read_study_table(self.folder)
 
     def __repr__(self) -> str:
         """Write what a user would write to open it."""
@@ -459,18 +406,3 @@ class Study:
             warnings.warn(message, stacklevel=4)
         else:
             self.warn(message)
-
-    @contextmanager
-    def _recording(self, verb: str, path: Path) -> Iterator[None]:
-        """Record what is written outside the study's own places, so that a withdrawal finds it."""
-        from feel321.study.persons.withdrawal import recording_output
-
-        with recording_output(self.folder, verb, path, now=self.now):
-            yield
-
-    def _find(self, participant: str) -> Dossier:
-        known = {folder.name: folder for folder in self.folder.participants}
-        if participant not in known:
-            listed = ", ".join(known) or "nobody yet"
-            raise ValueError(f"participant must be one of {listed}; got {participant!r}")
-        return self.folder.read_person(known[participant])

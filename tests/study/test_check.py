@@ -124,15 +124,12 @@ def test_the_texts_are_written_to_be_edited(
     assert capsys.readouterr().err == "feel321: --texts must be one of de, en; got 'fr'\n"
 
 
-@pytest.mark.parametrize(("rate_hz", "count"), [(2000.0, 0), (1800.0, 1), (100.0, 2)])
-def test_a_slow_recording_is_named_with_its_band_and_its_windows(
+@pytest.mark.parametrize(("rate_hz", "count"), [(2000.0, 0), (1800.0, 1)])
+def test_a_slow_recording_is_named_with_its_band(
     study: StudyFolder, rate_hz: float, count: int
 ) -> None:
-    text = study.settings.read_text(encoding="utf-8").replace("sax321", "dft321_windowed")
-    study.settings.write_text(text, encoding="utf-8")
     facts = [Facts("slow", "", rate_hz, 1.0, ())]
     found = find_warnings(study, read_settings(study.settings), facts)
     slow = [line for line in found if line.startswith("recording 'slow'")]
     assert len(slow) == count
-    assert all(f"{rate_hz / 2:g} Hz" in line for line in slow[:1])
-    assert all("4 samples" in line for line in slow[1:])
+    assert all(f"{rate_hz / 2:g} Hz" in line for line in slow)

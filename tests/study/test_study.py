@@ -73,17 +73,6 @@ def test_steps_find_what_the_verbs_find(pilot: Study, capsys: pytest.CaptureFixt
     assert len(pilot.table().rows) == (~pilot.ratings()["rejected"]).sum()
 
 
-def test_plans_are_blind_until_names_are_asked_for(pilot: Study) -> None:
-    coded, named = pilot.plan("sim001"), pilot.plan("sim001", blind=False)
-    ids = {stimulus.stimulus_id for stimulus in pilot.stimuli().stimuli}
-    assert set(named["stimulus_id"]) <= ids
-    assert ids.isdisjoint(coded["stimulus_id"])
-    rated = pilot.journal("sim001").query("event == 'rated'")
-    assert len(rated) == len(coded.query("phase == 'main'")["number"].unique())
-    with pytest.raises(ValueError, match="participant must be one of sim001, sim002; got 'p01'"):
-        pilot.plan("p01")
-
-
 def test_settings_are_changed_in_their_place(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(SHORT, encoding="utf-8")
     study = Study.open(tmp_path).with_settings({

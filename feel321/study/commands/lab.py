@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from shlex import join
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -138,14 +138,15 @@ class SessionLog:
 
     def end(self, reason: str) -> None:
         """Leave what was left as it stands; where something ended the session, say how to resume it."""
-        if self.place is not None and shared.is_terminal():
+        if self.place is None:
+            return
+        if shared.is_terminal():
             shared.echo(err=True)
-        if self.place is not None and reason:
+        if reason:
             # A change of the rig is accepted only once.
             words = [word for word in shared.CALL.get().words if word != "--accept-rig"]
-            done = f"{_count(self.place)} (aborted: {reason})"
-            command = join(["feel321", *words])
-            shared.echo(f"{self.participant}: {done}; resume with: {command}", err=True)
+            done = f"{self.participant}: {_count(self.place)} (aborted: {reason})"
+            shared.echo(f"{done}; resume with: {join(['feel321', *words])}", err=True)
 
 
 def simulate(
@@ -373,7 +374,8 @@ def calibrate(
     redesign
         Design anew from the stored sweeps, without playing.
     """
-    from feel321.study.actuator.certificate import draw_certificate, write_certificate
+    from feel321.study.actuator.certificate import draw_certificate, make_manual, write_certificate
+    from feel321.study.actuator.render import find_directions
 
     folder = require_study(study)
     rig, rate_hz = _find_rig(folder, device) if folder.rig.is_file() else (None, RATE_HZ)
@@ -382,7 +384,8 @@ def calibrate(
             f"{folder.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
         )
     if manual:
-        made = _type_gains(rig, manual, rate_hz=rate_hz)
+        typed, directions, now = _read_gains(manual), find_directions(rig)[0], datetime.now(UTC)
+        made = make_manual(rig, typed, directions=directions, made=now, rate_hz=rate_hz)
     else:
         made = _measure(folder, rig, rate_hz=rate_hz, redesign=redesign)
     certificate = write_certificate(made, folder.path)
@@ -416,10 +419,7 @@ def _find_rig(study: StudyFolder, device: str | None) -> tuple["Rig | None", flo
     return (rig if device is None else take_device(rig, device)), rate_hz
 
 
-def _type_gains(rig: "Rig", manual: Sequence[str], *, rate_hz: float) -> "Certificate":
-    from feel321.study.actuator.certificate import make_manual
-    from feel321.study.actuator.render import find_directions
-
+def _read_gains(manual: Sequence[str]) -> dict[str, float]:
     typed = {}
     for text in manual:
         name, _, gain = text.rpartition("=")
@@ -427,21 +427,15 @@ def _type_gains(rig: "Rig", manual: Sequence[str], *, rate_hz: float) -> "Certif
             typed[name.strip()] = float(gain)
         except ValueError:
             shared.refuse_use(f"--manual must be NAME=GAIN, such as 'left coil=12.5', got {text!r}")
-    directions, _ = find_directions(rig)
-    return make_manual(rig, typed, directions=directions, made=datetime.now(UTC), rate_hz=rate_hz)
+    return typed
 
 
 def _measure(folder: StudyFolder, rig: "Rig", *, rate_hz: float, redesign: bool) -> "Certificate":
     from feel321.study.actuator.calibrate import KEPT, Calibration
     from feel321.study.actuator.rig import FILE_DEVICE
 
-    own = Calibration(
-        rig=rig,
-        rate_hz=rate_hz,
-        made=datetime.now(UTC),
-        folder=folder.path,
-        agree=partial(agree, folder, rig),
-    )
+    ask, now = partial(agree, folder, rig), datetime.now(UTC)
+    own = Calibration(rig=rig, rate_hz=rate_hz, made=now, folder=folder.path, agree=ask)
     if redesign:
         return own.redesign()
     if rig.device.name == FILE_DEVICE:
@@ -468,9 +462,8 @@ def agree(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> bool:
     shared.echo("\n".join([*lines, *_find_cost(folder, rig, proposed)]), err=True)
     if sys.stdin is None or not sys.stdin.isatty():
         return True
-    shared.echo(
-        "Enter takes it; n stops: --redesign tries other settings of [calibration].", err=True
-    )
+    asked = "Enter takes it; n stops: --redesign tries other settings of [calibration]."
+    shared.echo(asked, err=True)
     return not sys.stdin.readline().strip().lower().startswith("n")
 
 
@@ -484,15 +477,10 @@ def _find_cost(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> Iter
         yield "the study has no stimuli yet; build them, and calibrate --redesign says how strong they come"
         return
     stimuli, own = read_stimuli(folder.stimuli), read_settings(folder.settings).rig
-    sounds: dict[str, Frames] = {}
+    scale, sounds = own.full_scale_m_s2, dict[str, "Frames"]()
     find_rig_problems(
-        rig,
-        stimuli,
-        rate_hz=own.rate_hz,
-        full_scale_m_s2=own.full_scale_m_s2,
-        certificate=proposed,
-        sounds=sounds,
-    )
+        rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=scale, certificate=proposed, sounds=sounds
+    )  # fmt: skip
     peaks = {name: float(abs(sound).max()) for name, sound in sounds.items()}
     strongest = max(peaks, key=peaks.__getitem__)
     headroom_db = -20 * math.log10(max(peaks[strongest], 1e-9))
@@ -529,51 +517,43 @@ def doctor(
     seconds
         Duration of the pulse train, in s.
     """
+    from feel321.study.actuator.certificate import judge_certificates, list_certificates
     from feel321.study.actuator.doctor import examine_rig, probe_coils, survey_devices
     from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE
 
     rig, rate_hz = _find_rig(StudyFolder(Path()) if study is None else require_study(study), device)
-    if rig is not None and rig.device.name == FILE_DEVICE:
-        rig = None
-    is_simulated = rig is not None and rig.device.name == SIMULATED_DEVICE
-    devices, found, known = [] if is_simulated else survey_devices(), None, None
+    name = rig.device.name if rig else FILE_DEVICE
+    devices = [] if name == SIMULATED_DEVICE else survey_devices()
+    found: dict[str, Any] = {}
+    known: dict[str, Any] = {}
     faults: list[str] = []
-    if rig is not None and seconds:
+    if rig is not None and name != FILE_DEVICE and seconds:
         with shared.show_progress("pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
         if rig.sensor is not None and found["n_failed"] < found["n_pulses"]:
-            certificate, faults = _find_certificate(study, rig, rate_hz=rate_hz)
-            probes, hum = probe_coils(rig, certificate, rate_hz=rate_hz)
-            faults += [f"{name}: {one['fault']}" for name, one in probes.items() if one["fault"]]
+            certificate = None
+            if study is not None and list_certificates(study):
+                now = datetime.now(UTC)
+                certificate, faults = judge_certificates(study, rig, now=now, rate_hz=rate_hz)
+            coils, hum = probe_coils(rig, certificate, rate_hz=rate_hz)
+            faults += [f"{name}: {one['fault']}" for name, one in coils.items() if one["fault"]]
             faults += [hum] if hum else []
             known = {
                 "certificate": certificate and certificate.id,
-                "coils": probes,
+                "coils": coils,
                 "faults": faults,
             }
-    facts = {"devices": devices, "examination": found, "rig": known}
-    lines = [*shared.lay_facts(facts)]
-    if found is None:
-        lines.append("nothing was played; name a device with --device, or in the study's rig.toml")
+    facts = {"devices": devices, "examination": found or None, "rig": known or None}
+    nothing = "nothing was played; name a device with --device, or in the study's rig.toml"
+    lines = [*shared.lay_facts(facts), *([] if found else [nothing])]
     shared.print_facts(facts, lines, as_json=as_json)
-    if found is not None and found["is_program"]:
+    if found and found["is_program"]:
         shared.warn(
             f"{found['device']}: a program plays it (a sound server, say), which may convert the rate and copy "
             "channels to others without notice; name the card itself, or give it as many channels as the rig has"
         )
-    if found is not None and found["error"]:
+    if found and found["error"]:
         shared.warn(found["error"])
     if faults:
         raise OSError("\n".join(faults))
-    return 1 if found is not None and (found["n_failed"] or found["n_underruns"]) else 0
-
-
-def _find_certificate(
-    study: Path | None, rig: "Rig", *, rate_hz: float
-) -> tuple["Certificate | None", list[str]]:
-    """Find the certificate that run would use; what is wrong with those that are there."""
-    from feel321.study.actuator.certificate import judge_certificates, list_certificates
-
-    if study is None or not list_certificates(study):
-        return None, []
-    return judge_certificates(study, rig, now=datetime.now(UTC), rate_hz=rate_hz)
+    return 1 if found and (found["n_failed"] or found["n_underruns"]) else 0

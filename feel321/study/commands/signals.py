@@ -4,10 +4,8 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from functools import partial
-from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from cyclopts import Parameter
 
@@ -34,6 +32,7 @@ if TYPE_CHECKING:
 RATE_TOLERANCE_HZ = 1.0
 """A WAV header holds whole Hz only; a recording's true rate may lie between."""
 
+Chosen = TypeVar("Chosen")
 Raw = Annotated[bool, Parameter(help="As measured: no offset removed, all frequencies kept.")]
 
 
@@ -44,7 +43,6 @@ def reduce(  # noqa: PLR0913 - one per option
     reducer: Annotated[str, Parameter(metavar="NAME")],
     output: Annotated[File, Parameter(name=["--out", "-o"])],
     source: Reading = AS_IT_SAYS,
-    window_ms: Annotated[float | None, Parameter(metavar="MS")] = None,
     raw: Raw = False,
     force: bool = False,
     as_json: Json = False,
@@ -62,8 +60,6 @@ def reduce(  # noqa: PLR0913 - one per option
         The 321 transform (a wrong name lists all), or one of your own: methods/my321.py:my321.
     output
         The .wav file; a JSON file goes beside it.
-    window_ms
-        Window of the reducers that have one.  [default: 35]
     force
         Replace the output if it exists.
     """
@@ -72,14 +68,15 @@ def reduce(  # noqa: PLR0913 - one per option
     from feel321.files import write_text
     from feel321.stimuli.condition import Conditioning
     from feel321.stimuli.wav import write_wav
+    from feel321.study.methods import open_reducer
 
-    reduce_it = _choose_reducer(reducer, window_ms)
+    reduce_it = _choose(open_reducer, reducer)
     if output.suffix.lower() != ".wav":
         shared.refuse_use(f"--out must end in .wav, got {str(output)!r}; give it that ending")
     read, sidecar = source.read(recording), output.with_suffix(".json")
     _check_output(recording, output, sidecar, force=force)
     steps = None if raw else Conditioning()
-    conditioned = _condition(read, steps)
+    conditioned, said = _condition(read, steps)
     method = getattr(reduce_it, "method", None)
     try:
         reduced = reduce_it(conditioned.acceleration, conditioned.rate_hz)
@@ -91,10 +88,9 @@ def reduce(  # noqa: PLR0913 - one per option
         "recording_sha256": read.sha256,
         "reducer": name_of(reducer),
         **(method.to_json() if method else {}),
-        "window_ms": window_ms,
         "unit": "m/s^2",
         "version": __version__,
-        **_list_steps(read, steps),
+        **said,
         **_match(conditioned, reduced),
     }
     write_wav(output, reduced, round(read.rate_hz))
@@ -129,43 +125,27 @@ def match(
     from feel321.stimuli.wav import read_wav
     from feel321.study.methods import open_metric
 
+    further = {name_of(name): _choose(open_metric, name) for name in metric}
     read = source.read(recording)
     samples, rate_hz = read_wav(reduced)
     _check_pair(read, samples, rate_hz=rate_hz, name=reduced.name)
     steps, origin = _find_steps(read, reduced.with_suffix(".json"), raw=raw)
-    ready = _condition(read, steps)
-    facts = {**_list_steps(read, steps), "conditioning_from": origin, **_match(ready, samples)}
-    further = {
-        name_of(name): open_metric(name, Path())(ready.acceleration, samples, ready.rate_hz)
-        for name in metric
-    }
-    facts |= further
+    ready, said = _condition(read, steps)
+    facts = {**said, "conditioning_from": origin, **_match(ready, samples)}
+    for name, measure in further.items():
+        facts[name] = measure(ready.acceleration, samples, ready.rate_hz)
     shared.print_facts(facts, shared.lay_facts(facts), as_json=as_json)
     if facts["reasons"]:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
         raise ValueError(f"{read.name}: {reasons}")
 
 
-def _choose_reducer(name: str, window_ms: float | None) -> "Callable[..., Samples]":
-    from feel321.stimuli.reducers.registry import REDUCERS
-    from feel321.study.methods import open_reducer
-
+def _choose(find: Callable[[str, Path], Chosen], name: str) -> Chosen:
+    """Find a method that was named on the command line; a wrong name is wrong use."""
     try:
-        chosen: Callable[..., Samples] = open_reducer(name, Path())
+        return find(name, Path())
     except ValueError as error:
         shared.refuse_use(str(error))
-    if window_ms is None:
-        return chosen
-    windowed = [
-        other for other, reducer in REDUCERS.items() if "window_s" in signature(reducer).parameters
-    ]
-    if name not in windowed:
-        shared.refuse_use(
-            f"--window-ms: {name} has no window; those with one: {', '.join(windowed)}"
-        )
-    if not 0 < window_ms < math.inf:
-        shared.refuse_use(f"--window-ms must be a finite time above 0 ms, got {window_ms:g}")
-    return partial(chosen, window_s=window_ms / 1000)
 
 
 def _check_output(source: Path, *targets: Path, force: bool) -> None:
@@ -182,23 +162,20 @@ def _check_output(source: Path, *targets: Path, force: bool) -> None:
         raise FileNotFoundError(f"{targets[0].parent}: there is no such folder; make it first")
 
 
-def _condition(recording: "Recording", steps: "Conditioning | None") -> "Recording":
-    from feel321.stimuli.condition import condition
-
-    try:
-        return recording if steps is None else condition(recording, steps)
-    except ValueError as error:
-        raise ValueError(
-            f"{recording.name}: {error}; or use it as it was measured, with --raw"
-        ) from None
-
-
-def _list_steps(recording: "Recording", steps: "Conditioning | None") -> dict[str, Any]:
-    from feel321.stimuli.condition import list_steps
+def _condition(
+    recording: "Recording", steps: "Conditioning | None"
+) -> "tuple[Recording, dict[str, Any]]":
+    """Condition a recording; also returns what is said of it."""
+    from feel321.stimuli.condition import condition, list_steps
 
     if steps is None:
-        return {"conditioning": None, "steps": []}
-    return {"conditioning": asdict(steps), "steps": list_steps(steps, recording.rate_hz)}
+        return recording, {"conditioning": None, "steps": []}
+    said = {"conditioning": asdict(steps), "steps": list_steps(steps, recording.rate_hz)}
+    try:
+        return condition(recording, steps), said
+    except ValueError as error:
+        remedy = "or use it as it was measured, with --raw"
+        raise ValueError(f"{recording.name}: {error}; {remedy}") from None
 
 
 def _find_steps(
@@ -230,9 +207,8 @@ def _find_steps(
     try:
         return Conditioning(**steps), origin
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{sidecar.name}: invalid conditioning ({error}); reduce the recording again"
-        ) from None
+        remedy = "reduce the recording again"
+        raise ValueError(f"{sidecar.name}: invalid conditioning ({error}); {remedy}") from None
 
 
 def _check_pair(recording: "Recording", samples: "Samples", *, rate_hz: int, name: str) -> None:
@@ -364,6 +340,6 @@ def _find_places(places: Sequence[Path], *, scenes: bool) -> tuple[Path | None, 
     if len(studies) > 1:
         shared.refuse_use(f"name one study, got {', '.join(map(str, studies))}")
     for one in extra:
-        if not one.exists():
+        if not one.is_file():
             raise FileNotFoundError(f"{one}: no such study or recording; check the name")
     return (studies[0] if studies else None), extra

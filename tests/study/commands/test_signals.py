@@ -87,31 +87,11 @@ def test_every_real_recording_goes_through_reduce_and_match(
         assert facts("match", source, output)["spectral_match"] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_the_window_is_that_of_the_option(recording: Path, tmp_path: Path) -> None:
-    for window in ("20", "50"):
-        words = f"reduce {recording} --reducer dft321_windowed --window-ms {window} -o {window}.wav"
-        assert main(words.split()) == 0
-    short, long = (read_wav(tmp_path / f"{window}.wav")[0] for window in ("20", "50"))
-    assert np.abs(short - long).max() > 0.01
-    bumps = condition(make_scene("bumps", duration_s=0.5), Conditioning())
-    expected = REDUCERS["dft321_windowed"](bumps.acceleration, 10000.0, window_s=0.02)  # type: ignore[call-arg] - not in the common calling form
-    np.testing.assert_allclose(short, expected, atol=1e-4)
-
-
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
         ("reduce {recording} --reducer dft -o a.wav", 2, "reducer must be one of sax321, say321,"),
-        (
-            REDUCE + "a.wav --window-ms 20",
-            2,
-            "--window-ms: sax321 has no window; those with one: pca321_adaptive, dft321_windowed, ",
-        ),
-        (
-            "reduce {recording} --reducer dft321_windowed -o a.wav --window-ms 0",
-            2,
-            "--window-ms must be a finite time above 0 ms, got 0; see: feel321 reduce --help",
-        ),
+        ("match {recording} short.wav --metric nope", 2, "metric must be one of spectral_match,"),
         *((REDUCE + f"{name} --force", 2, "give it that ending") for name in ("out.json", "out")),
         (REDUCE + "bumps.csv --force", 2, "give it that ending"),
         (REDUCE + "taken.wav", 1, "taken.wav: already exists; name another file or add --force"),

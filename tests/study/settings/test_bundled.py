@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.study.cli import main
-from feel321.study.folder import StudyFolder, create_study, list_bundled, read_bundled
+from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
 from feel321.study.settings.read import read_settings
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study, check_study
@@ -36,7 +36,7 @@ DESIGNS = ("airotouch", "generated")
 def bundled(request: pytest.FixtureRequest, tmp_path: Path) -> StudyFolder:
     """A published study with short recordings."""
     study = create_study(tmp_path / request.param, bundled=request.param)
-    whole = re.sub(r"^duration_s = .*\n", "", read_bundled(request.param), flags=re.MULTILINE)
+    whole = re.sub(r"^duration_s = .*\n", "", read_template(request.param), flags=re.MULTILINE)
     text = re.sub(r"^(scene = .*)$", r"\1\nduration_s = 0.4", whole, flags=re.MULTILINE)
     study.settings.write_text(text, encoding="utf-8")
     return study
@@ -50,7 +50,7 @@ def test_a_bundled_study_is_named_after_itself_and_says_what_it_follows(
     bundled: StudyFolder,
 ) -> None:
     assert read_settings(bundled.settings).study.name == bundled.path.name
-    text = read_bundled(bundled.path.name)
+    text = read_template(bundled.path.name)
     is_design = bundled.path.name in DESIGNS
     assert bool(re.search(r"doi:10\.\d{4}/\S", text)) is not is_design
     source = "From a paper: nothing" if is_design else "From the paper"
@@ -71,7 +71,7 @@ def test_a_bundled_study_runs_from_check_to_ratings(
 
 
 def test_every_texture_of_park_is_felt_in_three_orientations() -> None:
-    text = read_bundled("park2019")
+    text = read_template("park2019")
     entries = re.findall(
         r'scene = "(\w+)"\nseed = (\d)\nname = "texture(\d)-r(\d)"\nrotation = (\d)', text
     )
@@ -83,7 +83,7 @@ def test_new_offers_the_bundled_studies(tmp_path: Path, capsys: pytest.CaptureFi
     assert main(["new", "--help"]) == 0
     assert f"[one of {', '.join(list_bundled())}]" in " ".join(capsys.readouterr().out.split())
     assert main(["new", str(tmp_path / "s"), "--study", "lee2022"]) == 0
-    assert StudyFolder(tmp_path / "s").settings.read_text(encoding="utf-8") == read_bundled(
+    assert StudyFolder(tmp_path / "s").settings.read_text(encoding="utf-8") == read_template(
         "lee2022"
     )
 
