@@ -29,8 +29,8 @@ from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import ratings, sessions
+from feel321.study.analyze import measure_declared
 from feel321.study.folder import UsageError
-from feel321.study.metrics import measure_declared
 from feel321.study.observer.model import make_model
 from feel321.study.session import plan as plans
 from feel321.study.session.plan import list_by_code
@@ -73,14 +73,8 @@ GIVEN, OBSERVED = "given", "simulated observers"
 WHO, SCENE, REDUCER, ITEM, RATING = "participant", "recording", "reducer", "item", "rating"
 
 HEIGHT_CM = 7.5
-END_CM = 0.42
-"""Least distance between two names at the ends of curves."""
-
-WALKS = ("-", (0, (5, 1.2)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (1, 1)), (0, (8, 1.5)))
+WALKS = ((0, (5, 1.2)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (1, 1)), (0, (8, 1.5)))
 """Line styles, for curves besides that of the study's own number."""
-
-
-# What is planned.
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,22 +199,16 @@ def _tabulate_plan(
 
 
 def _list_notes(rated: Sequence[Part], slopes: DataFrame, share: int) -> list[str]:
-    levels, notes = list(dict.fromkeys(part.level for part in rated)), list[str]()
-    if len(levels) > 1:
-        others = ", ".join(levels[1:])
-        notes.append(f"Metrics are those at level {levels[0]}; at {others} they are alike.")
-    if share > 1:
-        notes.append(f"Each attribute is rated by one in {share} participants, as [between] says.")
-    if (slopes["source"] != GIVEN).any():
-        notes.append(
-            "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
-            "slope that would matter to you."
-        )
-    return [
-        *notes,
+    first, *others = dict.fromkeys(part.level for part in rated)
+    said = {
+        f"Metrics are those at level {first}; at {', '.join(others)} they are alike.": others,
+        f"Each attribute is rated by one in {share} participants, as [between] says.": share > 1,
+        "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
+        "slope that would matter to you.": (slopes["source"] != GIVEN).any(),
         "Before the first rating, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
-        "told apart into confirmatory and exploratory ones.",
-    ]
+        "told apart into confirmatory and exploratory ones.": True,
+    }
+    return [note for note, holds in said.items() if holds]
 
 
 def _plant(
@@ -230,10 +218,7 @@ def _plant(
     steps: Mapping[str, Step],
     effects: Mapping[str, float],
 ) -> DataFrame:
-    """Plant the slopes that are asked for, those of one scale last, and those of the observers elsewhere.
-
-    Attributes are named by their scale, and by the level where there are several.
-    """
+    """Plant the slopes that are asked for, those of one scale last, and those of the observers elsewhere."""
     several = len({part.level for part in rated}) > 1
     attributes = [part.lead if several else part.scale for part in rated]
     chosen: dict[tuple[str, str], float] = {}
@@ -248,11 +233,8 @@ def _plant(
                 f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value!r}"
             )
         chosen |= {(one, metric): float(value) for one in ([attribute] if one_only else attributes)}
-    asked = list(product(attributes, steps))
-    felt: dict[str, float] = {}
-    if len(chosen) < len(asked):
-        model = make_model(settings)
-        felt = {model.spectral_metric: model.spectral, "temporal_match": model.temporal}
+    asked, model = list(product(attributes, steps)), make_model(settings)
+    felt = {model.spectral_metric: model.spectral, "temporal_match": model.temporal}
     return DataFrame([
         {
             "attribute": attribute, "metric": metric,
@@ -273,11 +255,13 @@ def _read_pilot(
     further: Further | None,
 ) -> Table:
     """Read pilot ratings, of the study's own stimuli or of others."""
-    path = study.ratings if str(pilot) == OWN else Path(pilot)
-    if str(pilot) == OWN and study.journals:
-        ratings.write_ratings(study, stimuli)
+    is_own = str(pilot) == OWN
+    path, why = (study.ratings if is_own else Path(pilot)), "no such table of ratings"
+    if is_own:
+        why = "no ratings yet"
+        if study.journals:
+            ratings.write_ratings(study, stimuli)
     if not path.is_file():
-        why = "no ratings yet" if str(pilot) == OWN else "no such table of ratings"
         raise FileNotFoundError(f"{path}: {why}; --pilot takes a file, or {OWN}")
     return reading.read_table(
         path,
@@ -317,9 +301,6 @@ def _fit_pilot(table: Table, known: Mapping[str, Any], name: str) -> Truth:
     people = len({who for part in rated for who in part.rows[WHO]})
     pooled["source"] = f"the primary model of {people} people's ratings in {name}"
     return replace(found[0], mean=float(np.mean([one.mean for one in found])), **pooled)
-
-
-# The answer.
 
 
 def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studies, who does them, who watches
@@ -370,15 +351,7 @@ def _list_numbers(numbers: Numbers, what: str) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class StudyPower(results.PageResult):
-    """The power of a study, planned from its own settings and stimuli.
-
-    Parameters
-    ----------
-    plan : PowerPlan
-        Power of all designs; its participants are those who rate each attribute.
-    task : PowerTask
-        What is planned: the slopes, and the groups among which the attributes are divided.
-    """
+    """The power of a study, planned from its own settings and stimuli; its answer, tables and page."""
 
     plan: PowerPlan
     task: PowerTask
@@ -391,35 +364,17 @@ class StudyPower(results.PageResult):
         return planning.describe_plan(self.plan, share=share, size=row["size"], per=row["per"])
 
     def to_frame(self) -> DataFrame:
-        """Return the power of all designs.
-
-        Returns
-        -------
-        DataFrame
-            The columns of `PowerPlan.table`, and people: all who take part.
-        """
+        """Return the power of all designs: `PowerPlan.table`, and people: all who take part."""
         return self.plan.table.assign(people=self.plan.table["participants"] * self.task.share)
 
     def to_frames(self) -> dict[str, DataFrame]:
-        """Return the numbers as tables.
-
-        Returns
-        -------
-        dict of str to DataFrame
-            `designs`: the grid; `hypotheses`: of every simulated design; `planted`: the slopes.
-        """
+        """Return `designs`: the grid; `hypotheses`: of every simulated design; `planted`: the slopes."""
         tables = [one.table.assign(**one.design.sizes) for one in self.plan.powers]
         hypotheses = concat(tables, ignore_index=True)
         return {"designs": self.to_frame(), "planted": self.task.effects, "hypotheses": hypotheses}
 
     def summary(self) -> str:
-        """Write the answer for reading.
-
-        Returns
-        -------
-        str
-            The answer, a line per hypothesis, and the notes.
-        """
+        """Write the answer, a line per hypothesis, and the notes."""
         rows = self._list_hypotheses()
         lines = ["; ".join(f"{name}: {value}" for name, value in row.items()) for row in rows]
         return "\n".join([self.answer, *lines, *self.task.notes])
@@ -512,21 +467,20 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
     endless = people[-1] + 0.1 * max(people[-1] - people[0], 1)
     with style.print_style():
         figure, axes = style.new_figure(HEIGHT_CM)
-        ends = {}
         for place, number in enumerate(sorted(table["recordings"].unique())):
             rows = table[table["recordings"] == number].sort_values("people")
             is_own = number == own
             colour = style.BLACK if is_own else style.GREY
-            walk = "-" if is_own else WALKS[(place + 1) % len(WALKS)]
-            axes.plot(rows["people"], rows["power"], color=colour, linestyle=walk, zorder=3)
+            walk = "-" if is_own else WALKS[place % len(WALKS)]
+            name = f"{number} recordings{' (this study)' * is_own}"
+            axes.plot(rows["people"], rows["power"], color=colour, linestyle=walk, label=name)
             seen = rows[rows["simulated"].notna()]
             axes.vlines(seen["people"], seen["simulated_low"], seen["simulated_high"], color=colour)
-            axes.plot(
-                seen["people"], seen["simulated"], "o", color="white", markeredgecolor=colour, zorder=5
-            )  # fmt: skip
-            ends[number] = float(rows["ceiling"].iloc[-1])
-            last = [rows["people"].iloc[-1], endless], [rows["power"].iloc[-1], ends[number]]
-            axes.plot(*last, color=colour, linestyle=(0, (2, 2)), linewidth=style.THIN)
+            dots = axes.plot(seen["people"], seen["simulated"], "o", color="white", zorder=5)
+            dots[0].set_markeredgecolor(colour)
+            end = rows.iloc[-1]
+            limit = [end["people"], endless], [end["power"], end["ceiling"]]
+            axes.plot(*limit, color=colour, linestyle=(0, (2, 2)), linewidth=style.THIN)
         axes.axhline(wanted, color=style.GREY, linewidth=style.THIN, zorder=1)
         axes.set(xlabel="Participants", ylabel="Power", ylim=(-0.02, 1.04))
         axes.set_yticks(np.arange(0, 1.01, 0.2))
@@ -535,15 +489,5 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
         axes.set_axisbelow(True)
         ticks = people[:: max(1, len(people) // 8)]
         axes.set_xticks([*ticks, endless], [*map(str, ticks), "\N{INFINITY}"])
-        # Curves are named at their right ends, each at its own height, from the highest down.
-        order = sorted(ends, key=lambda number: -ends[number])
-        apart = 1.06 * END_CM / HEIGHT_CM
-        heights = style.spread([ends[number] for number in order], apart, low=-0.02)
-        stroke: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "clip_on": False}
-        for number, height in zip(order, heights, strict=True):
-            line = {"color": style.GREY, "linewidth": style.THIN, **stroke}
-            axes.plot([1.0, 1.02], [ends[number], height], **line)
-            weight = "bold" if number == own else "normal"
-            name = f"{number} recordings"
-            axes.text(1.03, height, name, va="center", fontweight=weight, **stroke)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure

@@ -13,7 +13,7 @@ from feel321.stimuli.rivals import RIVALS
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
-from feel321.study.metrics import measure_rivals
+from feel321.study.analyze import measure_rivals
 
 if TYPE_CHECKING:
     from pathlib import Path

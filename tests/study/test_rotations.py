@@ -12,9 +12,9 @@ from feel321.stimuli.rotation import rotation_statistics
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
-from feel321.study import metrics
+from feel321.study import analyze as metrics
+from feel321.study.analyze import compute_rotations, measure_declared, measure_rotations
 from feel321.study.folder import StudyFolder
-from feel321.study.metrics import compute_rotations, measure_declared, measure_rotations
 from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study
 

@@ -63,7 +63,7 @@ def new(
     if all_settings:
         from feel321.study.all_settings import FILES, write_list
 
-        shared.echo("\n".join(write_list(file) for file in FILES).rstrip("\n"))
+        shared.echo("\n".join(map(write_list, FILES)).rstrip("\n"))
     elif texts is not None:
         from feel321.doors import check_name
         from feel321.files import create_text

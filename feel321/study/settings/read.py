@@ -52,7 +52,7 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     Protocols and metrics of the lab's own have their short names in it.
     """
     settings = parse_toml(path, Settings)
-    session, home = settings.session, folder or path.parent
+    home = folder or path.parent
     entries: list[RecordingTable] = []
     for number, entry in enumerate(settings.recordings, start=1):
         try:
@@ -61,47 +61,30 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
             raise ValueError(f"{path.name}: recordings[{number}].files {error}") from None
     try:
         check_names([entry.title for entry in entries])
-        names = admission.admit_protocols(session.protocols, home)
+        names = admission.admit_protocols(settings.session.protocols, home)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: {error}") from None
-    name = settings.study.name or home.resolve().name
-    settings = settings.model_copy(
-        update={
-            "study": settings.study.model_copy(update={"name": name}),
-            "recordings": tuple(entries),
-            "session": session.model_copy(update={"protocols": names}),
-        }
-    )
-    settings = _declare_metrics(settings)
-    if mistakes := find_conflicts(settings):
-        raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
-    return settings
-
-
-def _declare_metrics(settings: Settings) -> Settings:
-    """Let a build measure the metrics that only the analysis names, which knows all by their short names."""
+    # A build measures the metrics that only the analysis names, which knows all by their short names.
     wanted, measured = settings.analysis.metrics, settings.stimuli.metrics
     coded = {name: one.use for name, one in settings.metrics.items() if one.use or one.command}
     known = {*measured, *map(name_of, measured), *(coded.get(name) for name in measured), *WRITTEN}
     lacking = [name for name in wanted if name not in known]
     new = [name for name in lacking if name in METRICS or is_given("metric", name, coded)]
-    short = tuple(dict.fromkeys(map(name_of, wanted)))
-    tables = {
-        "stimuli": settings.stimuli.model_copy(update={"metrics": (*measured, *new)}),
-        "analysis": settings.analysis.model_copy(update={"metrics": short}),
+    own: dict[str, dict[str, Any]] = {
+        "study": {"name": settings.study.name or home.resolve().name},
+        "session": {"protocols": names},
+        "stimuli": {"metrics": (*measured, *new)},
+        "analysis": {"metrics": tuple(dict.fromkeys(map(name_of, wanted)))},
     }
-    return settings.model_copy(update=tables)
+    tables = {name: getattr(settings, name).model_copy(update=one) for name, one in own.items()}
+    settings = settings.model_copy(update={**tables, "recordings": tuple(entries)})
+    if mistakes := find_conflicts(settings):
+        raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
+    return settings
 
 
 def change_settings(text: str, changes: Mapping[str, object]) -> str:
-    r"""Change settings by their dotted names; None takes a setting out, so that its default holds.
-
-    Examples
-    --------
-    >>> print(change_settings("[rig]\nheadroom = 0.9  # of full scale", {"rig.headroom": 0.5}))
-    [rig]
-    headroom = 0.5  # of full scale
-    """
+    """Change settings by their dotted names; None takes a setting out, so that its default holds."""
     import tomlkit
 
     document = tomlkit.parse(text)
