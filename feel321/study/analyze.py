@@ -45,10 +45,10 @@ from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches,
 from feel321.study.sessions import find_changes
 from feel321.study.settings.read import (
     list_origins,
-    list_unread,
     make_recipe,
     open_recordings,
     read_settings,
+    try_recordings,
 )
 from feel321.study.settings.schema import AnalysisTable, Settings
 from feel321.types import MetricInfo
@@ -261,14 +261,12 @@ def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread
     digests: dict[str, str | None] = {}
     recipe = make_recipe(settings, study.path)
     lead = "The recordings cannot be read as they were when the set was built"
-    for source in list_unread(settings, study.path):
-        try:
-            recording = source.read()
-        except (OSError, TypeError, ValueError) as error:
-            problems.append(f"recording {source.name!r}: {error}")
-            continue
-        digests[source.name] = recording.sha256
-        sources.append(replace(source, size=recording.acceleration.size))
+    for source, found in try_recordings(settings, study.path):
+        if isinstance(found, str):
+            problems.append(found)
+        else:
+            digests[source.name] = found.sha256
+            sources.append(replace(source, size=found.acceleration.size))
     try:
         if not problems and (problems := find_changes(study.stimuli, recipe, digests)):
             lead = "The settings differ from those of the built set, which this analysis is about"
@@ -291,8 +289,7 @@ AFFORDABLE = 400_000_000
 DECLARED = 4
 """Times as many orientations for declared predictors: an association is weakened by what a predictor is uncertain."""
 
-DIGITS = 9
-"""Decimals: below, a spread that should be zero is rounding error."""
+DIGITS = 9  # decimals: below, a spread that should be zero is rounding error
 
 
 def measure_rotations(

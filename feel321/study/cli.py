@@ -51,9 +51,7 @@ VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
-LONGEST = 1000
-"""Letters of a line of an error."""
-
+LONGEST = 1000  # letters of a line of an error
 SWITCHES = {
     "-q": "quiet", "--quiet": "quiet", "-v": "verbose", "--verbose": "verbose", "--traceback": "traceback",
 }  # fmt: skip

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 class Findings(Result):
-    """Texts of several kinds; a table has one row per text, with the columns `kind` and `text`."""
+    """Texts of several kinds."""
 
     __slots__ = ()
 
@@ -29,11 +29,7 @@ class Findings(Result):
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Problems(Findings):
-    """What `Study.check` found, as a whole or in one part of a study.
-
-    problems: what stands in the way of the study; warnings: what is allowed and may not be meant; notes: how strongly
-    the stimuli are played; remarks: what was noticed in the recordings; figures: the numbers behind them.
-    """
+    """What stands in the way of a study; what may not be meant; how strong stimuli are; remarks on recordings."""
 
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
@@ -43,23 +39,14 @@ class Problems(Findings):
 
     def __add__(self, other: Problems) -> Problems:
         """Put what was found in two parts of a study together."""
-        return Problems(
-            self.problems + other.problems,
-            self.warnings + other.warnings,
-            self.notes + other.notes,
-            self.remarks + other.remarks,
-            {**self.figures, **other.figures},
-        )
+        names = ("problems", "warnings", "notes", "remarks")
+        texts = {name: getattr(self, name) + getattr(other, name) for name in names}
+        return Problems(**texts, figures={**self.figures, **other.figures})
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Audit(Findings):
-    """What `Study.audit` found.
-
-    findings: every gap, duplicate and edit; remarks: what is as it was written and worth knowing, such as participants
-    on another rig; sentence: what the study was compared with, and what came after; checkpoint: id of the newest one
-    in the study's folder, empty if there is none.
-    """
+    """Findings: every gap, duplicate and edit; remarks; what was compared; id of the newest checkpoint, if any."""
 
     findings: tuple[str, ...]
     remarks: tuple[str, ...] = ()
@@ -69,11 +56,7 @@ class Audit(Findings):
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Seal(Findings):
-    """What `Study.seal` recorded.
-
-    utc, checkpoint: when, and its id, to write into the lab book; places: the remotes that have it; problems: why
-    others have not.
-    """
+    """When, and the checkpoint's id, for the lab book; remotes that have it; problems: why others have not."""
 
     utc: str
     checkpoint: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from inspect import signature
 from typing import TYPE_CHECKING, cast
 
@@ -22,8 +23,7 @@ if TYPE_CHECKING:
     from feel321.extensions import Method
     from feel321.types import Metric, Reducer
 
-PAIR = ("acceleration", "reduced", "rate_hz")
-"""Parameters of a metric; a reducer takes the first and the last."""
+PAIR = ("acceleration", "reduced", "rate_hz")  # of a metric; a reducer lacks the second
 
 
 def open_reducer(name: str, folder: Path) -> Reducer:
@@ -48,21 +48,14 @@ def open_method(name: str, folder: Path, kind: str | None = None) -> Method:
     if name in {*REDUCERS, *METRICS, ORIGINAL, NO_REFERENCE}:
         raise ValueError(f"{name} is feel321's own; name a reducer or metric of yours")
     if kind is None and name not in settings.reducers:
-        declared = name in settings.metrics or name in list_entry_points("metric")
-        kind = "metric" if declared or _takes_pair(name, folder) else None
+        takes_pair = name in settings.metrics or name in list_entry_points("metric")
+        if ":" in name and not takes_pair:
+            found = find_method("reducer", name, folder=folder)
+            with suppress(ValueError, TypeError):  # whatever is wrong with it is found again
+                takes_pair = len(signature(found.load()).parameters) == len(PAIR)
+        kind = "metric" if takes_pair else None
     find = find_metric if kind == "metric" else find_reducer
     return cast("Method", find(settings, name, folder))
-
-
-def _takes_pair(name: str, folder: Path) -> bool:
-    """Whether a method that is given by its place takes a pair of signals."""
-    if ":" not in name:
-        return False
-    found = find_method("reducer", name, folder=folder)
-    try:
-        return len(signature(found.load()).parameters) == len(PAIR)
-    except (ValueError, TypeError):  # whatever is wrong with it is found again
-        return False
 
 
 def list_own_reducers(settings: Settings, folder: Path) -> dict[str, OwnReducer]:

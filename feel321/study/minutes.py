@@ -51,8 +51,7 @@ class Pace:
     participants: int = 0
 
 
-SIMULATED = Pace(page_s=0.0)
-"""The pace of simulated participants, who do not read."""
+SIMULATED = Pace(page_s=0.0)  # the pace of simulated participants, who do not read
 
 
 @dataclass(frozen=True, slots=True)

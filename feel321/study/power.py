@@ -53,9 +53,7 @@ if TYPE_CHECKING:
 
     Numbers = int | Sequence[int]
 
-OWN = "study"
-"""A pilot that is no file: the study's own ratings."""
-
+OWN = "study"  # A pilot that is no file: the study's own ratings
 SIZES = planted.SIZES
 
 KEPT = ".studies"
@@ -64,12 +62,8 @@ KEPT = ".studies"
 PEOPLE, FEWEST = 16, 3
 """Raters of each attribute in the design around which others are compared; without so many there is no model."""
 
-MOST_POINTS = 100
-"""More than the whole scale per step of a metric is a slip."""
-
-GIVEN, OBSERVED = "given", "simulated observers"
-"""Where a slope comes from."""
-
+MOST_POINTS = 100  # more than the whole scale per step of a metric is a slip
+GIVEN, OBSERVED = "given", "simulated observers"  # where a slope comes from
 WHO, SCENE, REDUCER, ITEM, RATING = "participant", "recording", "reducer", "item", "rating"
 
 HEIGHT_CM = 7.5
@@ -355,6 +349,7 @@ class StudyPower(results.PageResult):
 
     plan: PowerPlan
     task: PowerTask
+    path: Path = Path()
 
     @property
     def answer(self) -> str:
@@ -469,7 +464,7 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
         figure, axes = style.new_figure(HEIGHT_CM)
         for place, number in enumerate(sorted(table["recordings"].unique())):
             rows = table[table["recordings"] == number].sort_values("people")
-            is_own = number == own
+            is_own = bool(number == own)
             colour = style.BLACK if is_own else style.GREY
             walk = "-" if is_own else WALKS[place % len(WALKS)]
             name = f"{number} recordings{' (this study)' * is_own}"

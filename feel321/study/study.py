@@ -347,8 +347,7 @@ class Study:
                 workers=as_workers(workers),
                 progress=step,
             )
-            found.write(target)
-        return found
+            return replace(found, path=found.write(target).parent)
 
     @property
     def settings(self) -> Settings:

@@ -15,12 +15,11 @@ from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
-from feel321.stimuli.condition import condition, fade
+from feel321.stimuli.condition import condition
 from feel321.stimuli.match import HIGHEST_HZ
-from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets import build as sets
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe, Unread, weigh_bands
+from feel321.stimuli.sets.recipe import Recipe
 from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
@@ -53,7 +52,7 @@ def build_study(
     settings = read.read_settings(study.settings)
     sources = read.list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
-    _protect_used_set(study, recipe, sources)
+    _protect_used_set(study, settings, recipe)
     with declaring(study, "build"):
         with follow(progress or False, "build") as move:
             facts, stimuli = sets.build_set(
@@ -67,16 +66,13 @@ def build_study(
     return facts, stimuli
 
 
-def _protect_used_set(study: StudyFolder, recipe: Recipe, sources: Sequence[Unread]) -> None:
+def _protect_used_set(study: StudyFolder, settings: Settings, recipe: Recipe) -> None:
     """Refuse to replace a set that sessions were run with, or may have been."""
     if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
         return
-    digests: dict[str, str | None] = {}
-    for source in sources:
-        try:
-            digests[source.name] = source.read().sha256
-        except (OSError, TypeError, ValueError):  # which the build reports
-            digests[source.name] = None
+    # What cannot be read is reported by the build.
+    found = read.try_recordings(settings, study.path)
+    digests = {source.name: getattr(one, "sha256", None) for source, one in found}
     try:
         sha256 = read_stimuli(study.stimuli).sha256.encode()
         changes = find_changes(study.stimuli, recipe, digests)
@@ -155,42 +151,26 @@ def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
 def _examine(
     study: StudyFolder, settings: Settings, recipe: Recipe | None, *, progress: Progress | None
 ) -> tuple[list[Seen], list[str]]:
-    """Read each recording once, try out what a build does to it, and measure its stimuli; keep no samples."""
-    history, sources = sets.read_history(study.stimuli), read.list_unread(settings, study.path)
+    """Read each recording once, and measure its stimuli as a build does; keep no samples."""
+    history, count = sets.read_history(study.stimuli), len(settings.recordings)
     seen: list[Seen] = []
     faults: list[str] = []
-    for done, source in enumerate(sources, start=1):
-        try:
-            recording = source.read()
-        except (OSError, TypeError, ValueError) as error:
-            seen.append((sets.Survey(None, {}, f"recording {source.name!r}: {error}"), None))
+    for done, (source, recording) in enumerate(read.try_recordings(settings, study.path), start=1):
+        if isinstance(recording, str):
+            seen.append((sets.Survey(None, {}, recording), None))
             continue
         own, covariance = sets.Survey(sets.Facts.find(recording), {}), None
-        try:
-            if recipe is not None:
-                covariance = _try_recording(recording, recipe)
-                known = history[source.name].measured
-                found = sets.survey_recording(recording, known, recipe=recipe)
-                own = found if found.facts else own
-                faults += [found.fault] if found.fault else []
-        except ValueError as error:
-            faults.append(str(error))
+        if recipe is not None:
+            known = history[source.name].measured
+            found = sets.survey_recording(recording, known, recipe=recipe)
+            faults += [found.fault] if found.fault else []
+            if found.facts:
+                felt = condition(recording, recipe.conditioning).acceleration
+                own, covariance = found, np.asarray(np.einsum("in,jn->ij", felt, felt))
         seen.append((own, covariance))
         if progress:
-            progress(done, len(sources))
+            progress(done, count)
     return seen, faults
-
-
-def _try_recording(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
-    """Try out what a build does to a recording, but for what takes long; returns the covariance of its axes."""
-    try:
-        ready = condition(recording, recipe.conditioning)
-        fade(ready.acceleration, ready.rate_hz, fade_s=recipe.fade_s)
-        if recipe.anchors:
-            weigh_bands(ready)
-    except ValueError as error:
-        raise ValueError(f"recording {recording.name!r}: {error}") from None
-    return np.asarray(np.einsum("in,jn->ij", ready.acceleration, ready.acceleration))
 
 
 def _foresee(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from feel321.doors import follow
 from feel321.study.commands import shared
 from feel321.study.commands.shared import File, Json, Participant, Rehearsals, Seed, within
 from feel321.study.folder import StudyFolder, require_study
@@ -234,7 +235,7 @@ def note(
     from feel321.study.persons.withdrawal import take_note
 
     study, text = shared.split_study(study_text, "one text in quotes")
-    opened = shared.open_study(Path(study or "."), rehearsals=rehearsals)
+    opened = shared.open_study(study, rehearsals=rehearsals)
     if notice := take_note(opened.folder, participant, text, now=opened.now):
         shared.warn(notice)
     facts = {"participant": participant, "text": text, "warning": notice}
@@ -264,7 +265,7 @@ def collect(
     if not sources:
         shared.refuse_use("name the study folders to collect from")
     opened = shared.open_study(folder)
-    with shared.show_progress("collect") as progress:
+    with follow(shared.wants_bar(), "collect") as progress:
         found = collect_sessions(opened.folder, sources, now=opened.now, follow=progress)
     size, who = f"{found.size / 1e6:.1f} MB", ", ".join(found.participants)
     copied = f"{found.files} files ({size}) of {who}" if found.files else "nothing to copy"
@@ -345,8 +346,7 @@ Device = Annotated[
 ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
 """Fields of a coil's certificate that are too long to print."""
 
-RATE_HZ = 48000.0
-"""At which a device is tried that belongs to no study."""
+RATE_HZ = 48000.0  # at which a device is tried that belongs to no study
 
 
 def calibrate(
@@ -445,7 +445,7 @@ def _measure(folder: StudyFolder, rig: "Rig", *, rate_hz: float, redesign: bool)
         )
     if kept := own.find_runs(within=KEPT):
         shared.echo(f"kept, as they were measured a while ago: {', '.join(kept)}", err=True)
-    with shared.show_progress("s of sweeps") as own.on_step:
+    with follow(shared.wants_bar(), "s of sweeps") as own.on_step:
         return own.run()
 
 
@@ -528,7 +528,7 @@ def doctor(
     known: dict[str, Any] = {}
     faults: list[str] = []
     if rig is not None and name != FILE_DEVICE and seconds:
-        with shared.show_progress("pulses") as progress:
+        with follow(shared.wants_bar(), "pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
         if rig.sensor is not None and found["n_failed"] < found["n_pulses"]:
             certificate = None

@@ -4,7 +4,7 @@ import inspect
 import json
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,9 +41,7 @@ def refuse_use(text: str) -> NoReturn:
 
 # Arguments and options.
 
-MOST = 1e9
-"""Beyond this no option means anything, whatever its unit."""
-
+MOST = 1e9  # beyond this no option means anything, whatever its unit
 MOST_SEED = 2**63 - 1
 
 
@@ -159,48 +157,39 @@ def open_study(folder: Path, *, rehearsals: bool = False, clears: bool = True) -
     return Study(StudyFolder(study.path, is_rehearsal=rehearsals), wants_bar(), warn=warn)
 
 
-Shown = Callable[..., int | None]
+Verb = Callable[..., int | None]
 
 
 def verb(
     method: Callable[..., Any], *, clears: bool = True, needs_study: bool = True, **hints: object
-) -> Callable[[Shown], Callable[..., int | None]]:
+) -> Callable[[Verb], Verb]:
     """Make a verb of a method of `Study` and of what prints its result.
 
     hints: what each parameter of the method is as an option; its default and its help are the method's. The options
     `crew` and `rehearsals` are there if named.
     """
-    own = inspect.signature(method).parameters
 
-    def decorate(show: Shown) -> Callable[..., int | None]:
-        def call(
-            study: Path = Path(),
-            /,
-            *,
-            as_json: bool = False,
-            rehearsals: bool = False,
-            crew: Crew | None = None,
-            **options: object,
-        ) -> int | None:
+    def decorate(show: Verb) -> Verb:
+        def call(study: Path = Path(), /, *, as_json: bool = False, **given: Any) -> int | None:  # noqa: ANN401
+            rehearsals, crew = given.pop("rehearsals", False), given.pop("crew", None)
             if crew:
-                options["workers"] = crew.employ()
+                given["workers"] = crew.employ()
             if needs_study:
                 opened = open_study(study, rehearsals=rehearsals, clears=clears)
             else:
                 opened = Study(StudyFolder(study), wants_bar(), warn=warn)
-            shown = {"out": options.get("out")} if "out" in hints else {}
-            return show(opened, method(opened, **options), as_json=as_json, **shown)
+            return show(opened, method(opened, **given), as_json=as_json)
 
-        named = inspect.Parameter.KEYWORD_ONLY
-        place = inspect.Parameter("study", inspect.Parameter.POSITIONAL_ONLY, default=Path())
         defaults = {"crew": ALONE, "rehearsals": False, "as_json": False}
-        defaults |= {name: one.default for name, one in own.items()}
-        known = {"study": File, **hints, "as_json": Json}
-        options = [
-            inspect.Parameter(name, named, default=defaults[name]) for name in [*hints, "as_json"]
-        ]
+        defaults |= {
+            name: one.default for name, one in inspect.signature(method).parameters.items()
+        }
+        kinds = inspect.Parameter
+        place = kinds("study", kinds.POSITIONAL_ONLY, default=Path())
+        names = (*hints, "as_json")
+        options = [kinds(name, kinds.KEYWORD_ONLY, default=defaults[name]) for name in names]
         call.__signature__ = inspect.Signature([place, *options])  # type: ignore[attr-defined]
-        call.__annotations__ = known
+        call.__annotations__ = {"study": File, **hints, "as_json": Json}
         call.__doc__ = method.__doc__
         return call
 
@@ -220,11 +209,11 @@ def simulate_sessions(opened: Study, participants: int, seed: int | None = None)
 Word = TypeVar("Word", str, Path)
 
 
-def split_study(words: Sequence[Word], what: str) -> tuple[Word | None, Word]:
+def split_study(words: Sequence[Word], what: str) -> tuple[Path, Word]:
     """Split [STUDY] from what follows it."""
     if not 0 < len(words) <= 2:  # noqa: PLR2004 - a study and one more
         refuse_use(f"takes a study and {what}, got {len(words)} words")
-    return (words[0] if len(words) > 1 else None), words[-1]
+    return Path(words[0] if len(words) > 1 else "."), words[-1]
 
 
 # Output.
@@ -258,11 +247,10 @@ def report_warnings(recordings: Iterable["Recording"]) -> None:
 
 
 MOST_LINES = 20
+WHOLE = "--json lists all problems and warnings"
 
 
-def cap(
-    lines: Sequence[str], *, whole: str = "--json lists all problems and warnings"
-) -> list[str]:
+def cap(lines: Sequence[str], *, whole: str = WHOLE) -> list[str]:
     """Cut a long list of lines, and say how many there are more, and where."""
     left = len(lines) - MOST_LINES
     return [*lines[:MOST_LINES], *([f"and {left} more like these; {whole}"] if left > 0 else [])]
@@ -309,9 +297,4 @@ def is_terminal() -> bool:
 def wants_bar() -> bool:
     """Check whether a progress bar is wanted: on a terminal, unless nothing or each step is to be printed."""
     call = CALL.get()
-    return is_terminal() and not call.quiet and not call.verbose
-
-
-def show_progress(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Show a progress bar on stderr, if that is a terminal."""
-    return follow(wants_bar(), what)
+    return is_terminal() and not (call.quiet or call.verbose)

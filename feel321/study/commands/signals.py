@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from cyclopts import Parameter
 
+from feel321.doors import follow
 from feel321.study.commands import shared
 from feel321.study.commands.shared import (
     ALONE,
@@ -306,7 +307,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
     check_target(output)
     # Recordings that were named without a study belong to none, whatever the current folder is.
     study = StudyFolder(folder or output)
-    with shared.show_progress("tradeoff") as progress:
+    with follow(shared.wants_bar(), "tradeoff") as progress:
         recordings = gather_recordings(study.path, scenes=scenes, extra=extra)
         shared.report_warnings(recordings)
         settings = read_settings(study.settings) if study.settings.is_file() else None

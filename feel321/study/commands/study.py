@@ -189,11 +189,11 @@ Numbers = Annotated[
     seed=Seed,
     out=Out,
 )
-def power(opened: Study, found: "StudyPower", *, as_json: bool, out: Path | None) -> None:
+def power(_opened: Study, found: "StudyPower", *, as_json: bool) -> None:
     """Print the answer, and where its page is."""
     if not as_json:
         shared.echo(found.summary())
-    shared.print_results(out or opened.folder.path / "power", as_json=as_json)
+    shared.print_results(found.path, as_json=as_json)
 
 
 def freeze(study: File = Path(), /, *, show: bool = False, as_json: Json = False) -> None:
@@ -278,13 +278,12 @@ def demo(*, out: Out = Path("demo-study")) -> None:
     metrics=Several,
     rivals=bool,
 )
-def analyze(opened: Study, _found: "Results", *, as_json: bool, out: Path | None) -> None:
+def analyze(_opened: Study, found: "Results", *, as_json: bool) -> None:
     """Print where the report is."""
-    shared.print_results(out or opened.folder.report, as_json=as_json)
+    shared.print_results(found.path, as_json=as_json)
 
 
-PER_FILE = 10
-"""Findings of one file that are printed; the others are counted."""
+PER_FILE = 10  # findings of one file that are printed; the others are counted
 
 
 @verb(
@@ -354,7 +353,7 @@ def export(
     if len(study_dir) == 1 and (target / "study.toml").is_file():
         need = f"name the folder to write, too: feel321 export {target} DIR"
         shared.refuse_use(f"{target} is a study; {need}")
-    opened = Study.open(folder or Path())
+    opened = Study.open(folder)
     notices: list[str] = []
     with recording_output(opened.folder, "export", target, now=opened.now):
         if for_r:

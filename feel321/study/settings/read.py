@@ -171,16 +171,19 @@ def list_origins(settings: Settings) -> dict[str, str]:
 
 def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
     """Read every recording of a study; all that cannot be read are named at once."""
-    recordings: list[Recording] = []
-    mistakes: list[str] = []
+    found = [one for _, one in try_recordings(settings, folder)]
+    if mistakes := [one for one in found if isinstance(one, str)]:
+        raise ValueError("\n".join(mistakes))
+    return [one for one in found if isinstance(one, Recording)]
+
+
+def try_recordings(settings: Settings, folder: Path) -> Iterator[tuple[Unread, Recording | str]]:
+    """Read each recording of a study in turn; gives its fault instead where it cannot be read."""
     for source in list_unread(settings, folder):
         try:
-            recordings.append(source.read())
+            yield source, source.read()
         except (OSError, TypeError, ValueError) as error:
-            mistakes.append(f"recording {source.name!r}: {error}")
-    if mistakes:
-        raise ValueError("\n".join(mistakes))
-    return recordings
+            yield source, f"recording {source.name!r}: {error}"
 
 
 def list_unread(settings: Settings, folder: Path) -> list[Unread]:
@@ -252,8 +255,7 @@ def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Met
     return find_method("metric", name, taken=METRICS, folder=folder, declared=declared)
 
 
-CONSENT = "consent"
-"""The page whose text a lab can set by itself."""
+CONSENT = "consent"  # the page whose text a lab can set by itself
 
 
 def find_language(settings: Settings, folder: Path) -> str | Path:

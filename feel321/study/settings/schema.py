@@ -138,9 +138,7 @@ def _check_questions(tables: tuple[QuestionTable, ...]) -> tuple[QuestionTable, 
     return tables
 
 
-LANGUAGE_FILE = ".toml"
-"""How the name of a lab's own file of texts ends."""
-
+LANGUAGE_FILE = ".toml"  # how the name of a lab's own file of texts ends
 Level = Annotated[float, Field(ge=-120, le=60)]
 LevelName = Annotated[str, kinds.one_of(LEVELS)]
 UpTo100 = Annotated[kinds.Count, Field(le=100)]
@@ -283,9 +281,7 @@ class TaskTable(kinds.TomlTable):
         return refine_task(make_task(name, training=training, practice=practice, **own), **options)
 
 
-SCENE_RATE_HZ = 10000.0
-"""Sampling rate of scenes; that of a file is what the file says."""
-
+SCENE_RATE_HZ = 10000.0  # sampling rate of scenes; that of a file is what the file says
 _NOT_OF = {
     "scene": {"unit", "columns", "full_scale", "resample"},
     "file": {"seed", "duration_s"},

@@ -32,7 +32,7 @@ DESIGNS = ("airotouch", "generated")
 """Of our own, after no paper."""
 
 
-@pytest.fixture(params=list_bundled())
+@pytest.fixture(params=JUDGEMENTS)
 def bundled(request: pytest.FixtureRequest, tmp_path: Path) -> StudyFolder:
     """A published study with short recordings."""
     study = create_study(tmp_path / request.param, bundled=request.param)
@@ -40,10 +40,6 @@ def bundled(request: pytest.FixtureRequest, tmp_path: Path) -> StudyFolder:
     text = re.sub(r"^(scene = .*)$", r"\1\nduration_s = 0.4", whole, flags=re.MULTILINE)
     study.settings.write_text(text, encoding="utf-8")
     return study
-
-
-def test_the_counts_know_every_bundled_study() -> None:
-    assert set(JUDGEMENTS) == set(list_bundled())
 
 
 def test_a_bundled_study_is_named_after_itself_and_says_what_it_follows(
@@ -79,19 +75,16 @@ def test_every_texture_of_park_is_felt_in_three_orientations() -> None:
     assert all((seed, named) == (texture, turned) for _, seed, texture, named, turned in entries)
 
 
-def test_new_offers_the_bundled_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_new_offers_the_bundled_studies_and_refuses_others_before_anything_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert set(JUDGEMENTS) == set(list_bundled())
     assert main(["new", "--help"]) == 0
     assert f"[one of {', '.join(list_bundled())}]" in " ".join(capsys.readouterr().out.split())
     assert main(["new", str(tmp_path / "s"), "--study", "lee2022"]) == 0
-    assert StudyFolder(tmp_path / "s").settings.read_text(encoding="utf-8") == read_template(
-        "lee2022"
-    )
-
-
-def test_an_unknown_study_is_refused_with_the_list_before_anything_is_made(tmp_path: Path) -> None:
-    with pytest.raises(
-        ValueError, match=r"^study must be one of [a-z0-9, ]+, park2019; got 'park'"
-    ):
-        create_study(tmp_path / "s", bundled="park")
-    assert not (tmp_path / "s").exists()
-    assert main(["new", str(tmp_path / "s"), "--study", "park"]) == 2
+    written = (tmp_path / "s" / "study.toml").read_text(encoding="utf-8")
+    assert written == read_template("lee2022")
+    with pytest.raises(ValueError, match=r"^study must be one of [a-z0-9, ]+; got 'park'"):
+        create_study(tmp_path / "t", bundled="park")
+    assert main(["new", str(tmp_path / "t"), "--study", "park"]) == 2
+    assert not (tmp_path / "t").exists()
