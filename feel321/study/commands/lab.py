@@ -14,7 +14,16 @@ from cyclopts import Parameter
 
 from feel321.doors import follow
 from feel321.study.commands import shared
-from feel321.study.commands.shared import File, Json, Participant, Rehearsals, Seed, within
+from feel321.study.commands.shared import (
+    File,
+    Json,
+    Name,
+    Participant,
+    Rehearsals,
+    Seed,
+    about,
+    within,
+)
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.session.journal import PARTICIPANT_ID
 
@@ -31,42 +40,24 @@ def run(  # noqa: PLR0913 - one parameter per option
     /,
     *,
     participant: Participant,
-    windowed: bool = False,
-    screen: Annotated[int, within(0, 99)] = 0,
-    device: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    accept_rig: bool = False,
-    lsl: bool = False,
-    rehearse: bool = False,
-    simulated: Annotated[bool, Parameter(name="--simulate-participant")] = False,
+    windowed: Annotated[bool, about("A window instead of the whole screen.")] = False,
+    screen: Annotated[int, within(0, 99), about("The participant's monitor; 0: the main one.")] = 0,
+    device: Annotated[Name, about("Instead of the rig's; 'file' writes WAV files.")] = None,
+    accept_rig: Annotated[bool, about("Resume on a changed rig or certificate; noted.")] = False,
+    lsl: Annotated[bool, about("Send events to the lab streaming layer.")] = False,
+    rehearse: Annotated[bool, about("Stored in rehearsals/ and never analysed.")] = False,
+    simulate_participant: Annotated[bool, about("A simulated participant presses keys.")] = False,
     seed: Seed = None,
 ) -> int:
     """Run a session with a participant, or resume it.
 
     Example: feel321 run my-study --participant p07
-
-    Parameters
-    ----------
-    windowed
-        A window instead of the whole screen.
-    screen
-        The participant's monitor; 0: the main one.
-    device
-        Device instead of the rig's; 'file' writes WAV files.
-    accept_rig
-        Resume on a changed rig or certificate; the journal records it.
-    lsl
-        Send events to the lab streaming layer.
-    rehearse
-        Stored in rehearsals/ and never analysed.
-    simulated
-        A simulated participant presses the keys.
     """
-    if seed is not None and not simulated:
+    if seed is not None and not simulate_participant:
         shared.refuse_use("--seed needs --simulate-participant; people have no seed")
     if not PARTICIPANT_ID.fullmatch(participant):
-        shared.refuse_use(
-            f"--participant must be letters (A-Z), digits, - and _, got {participant!r}"
-        )
+        allowed = "letters (A-Z), digits, - and _"
+        shared.refuse_use(f"--participant must be {allowed}, got {participant!r}")
     from feel321.study.lab import run_participant
     from feel321.study.sessions import read_room
 
@@ -76,19 +67,15 @@ def run(  # noqa: PLR0913 - one parameter per option
     try:
         outcome = run_participant(
             replace(
-                read_room(folder, now=opened.now),
-                windowed=windowed,
-                screen=screen,
-                device=device,
-                accept_rig=accept_rig,
-                lsl=lsl,
+                read_room(folder, now=opened.now), windowed=windowed, screen=screen, device=device,
+                accept_rig=accept_rig, lsl=lsl,
             ),
             participant,
-            simulated=simulated,
+            simulated=simulate_participant,
             seed=seed,
             on_step=log.note,
             warn=shared.warn,
-        )
+        )  # fmt: skip
     except (Exception, KeyboardInterrupt) as error:
         log.end(type(error).__name__)
         raise
@@ -154,18 +141,13 @@ def simulate(
     study: File = Path(),
     /,
     *,
-    participants: Annotated[int, within(1, 10_000)] = 16,
+    participants: Annotated[int, within(1, 10_000), about("How many take part.")] = 16,
     seed: Seed = None,
     as_json: Json = False,
 ) -> None:
     """Run sessions with simulated participants, or resume them.
 
     Example: feel321 simulate my-study --participants 16 --seed 1
-
-    Parameters
-    ----------
-    participants
-        Number of simulated participants.
     """
     from feel321.study.simulation import regress_planted
 
@@ -186,8 +168,8 @@ def status(
     study: File = Path(),
     /,
     *,
-    with_notes: Annotated[bool, Parameter(name="--notes")] = False,
-    page: Annotated[File | None, Parameter(name="--watch", metavar="PAGE")] = None,
+    notes: Annotated[bool, about("Also the experimenter's notes.")] = False,
+    watch: Annotated[File | None, about("Keep a blind page until Ctrl-C.", metavar="PAGE")] = None,
     rehearsals: Rehearsals = False,
     as_json: Json = False,
 ) -> None:
@@ -195,28 +177,21 @@ def status(
 
     Example: feel321 status my-study
              feel321 status my-study --watch sessions.html
-
-    Parameters
-    ----------
-    with_notes
-        Also the experimenter's notes.
-    page
-        Keep a blind page of running sessions until Ctrl-C.
     """
     opened = shared.open_study(study, rehearsals=rehearsals, clears=False)
-    if page is not None:
+    if watch is not None:
         from feel321.study.persons.withdrawal import recording_output
         from feel321.study.watch import watch_study
 
-        if with_notes or as_json:
+        if notes or as_json:
             shared.refuse_use("--watch does not go with --notes or --json; leave them out")
-        with recording_output(opened.folder, "status", page, now=opened.now):
-            watch_study(opened.folder, page, now=opened.now, announce=shared.echo)
+        with recording_output(opened.folder, "status", watch, now=opened.now):
+            watch_study(opened.folder, watch, now=opened.now, announce=shared.echo)
         shared.echo("status: ended", err=True)
         return
     state = opened.status()
-    notes = state.list_notes() if with_notes else []
-    shared.print_facts(asdict(state), [state.summary(), *notes], as_json=as_json)
+    said = state.list_notes() if notes else []
+    shared.print_facts(asdict(state), [state.summary(), *said], as_json=as_json)
 
 
 def note(
@@ -244,7 +219,7 @@ def note(
 
 def collect(
     *sources: Annotated[File, Parameter(name="FROM...")],
-    folder: Annotated[File, Parameter(name="--into", metavar="STUDY")] = Path(),
+    into: Annotated[File, about("Study to collect into. [default: .]", metavar="STUDY")] = Path(),
     as_json: Json = False,
 ) -> int:
     """Collect the sessions of other stations into one study.
@@ -254,25 +229,19 @@ def collect(
     withdrawn here.
 
     Example: feel321 collect /mnt/lab2/my-study /media/usb/my-study --into my-study
-
-    Parameters
-    ----------
-    folder
-        The study to collect into.  [default: .]
     """
     from feel321.study.collect import collect_sessions
 
     if not sources:
         shared.refuse_use("name the study folders to collect from")
-    opened = shared.open_study(folder)
+    opened = shared.open_study(into)
     with follow(shared.wants_bar(), "collect") as progress:
         found = collect_sessions(opened.folder, sources, now=opened.now, follow=progress)
     size, who = f"{found.size / 1e6:.1f} MB", ", ".join(found.participants)
     copied = f"{found.files} files ({size}) of {who}" if found.files else "nothing to copy"
     refused = [f"refused: {line}" for line in found.refused]
-    shared.print_facts(
-        asdict(found), [f"{folder}: {copied}", *refused, *found.notes], as_json=as_json
-    )
+    lines = [f"{into}: {copied}", *refused, *found.notes]
+    shared.print_facts(asdict(found), lines, as_json=as_json)
     return 1 if found.refused else 0
 
 
@@ -281,9 +250,9 @@ def withdraw(
     /,
     *,
     participant: Participant,
-    reason: str = "",
-    keep_data: bool = False,
-    is_sure: Annotated[bool, Parameter(name="--yes")] = False,
+    reason: Annotated[str, about("Kept with the code; write no name.")] = "",
+    keep_data: Annotated[bool, about("Only free the design slot.")] = False,
+    is_sure: Annotated[bool, about("Do not ask.", name="--yes")] = False,
     as_json: Json = False,
 ) -> int:
     """Remove the data of a participant for good, and free the design slot.
@@ -294,15 +263,6 @@ def withdraw(
 
     Example: feel321 withdraw my-study --participant p07 --yes
              feel321 withdraw my-study --participant p07 --keep-data
-
-    Parameters
-    ----------
-    reason
-        Kept with the code; write no name.
-    keep_data
-        Only free the design slot.
-    is_sure
-        Do not ask.
     """
     from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 
@@ -336,13 +296,9 @@ def withdraw(
     return 0
 
 
-Device = Annotated[
-    str | None,
-    Parameter(
-        metavar="NAME", help="Device instead of the rig's: its name, or a unique part of it."
-    ),
-]
+Device = Annotated[Name, about("Device instead of the rig's: its name, or a unique part of it.")]
 
+TYPED = "Type a gain instead of measuring, in m/s² at full scale; once for each."
 ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
 """Fields of a coil's certificate that are too long to print."""
 
@@ -354,8 +310,8 @@ def calibrate(
     /,
     *,
     device: Device = None,
-    manual: Annotated[tuple[str, ...], Parameter(metavar="NAME=GAIN")] = (),
-    redesign: bool = False,
+    manual: Annotated[tuple[str, ...], about(TYPED, metavar="NAME=GAIN")] = (),
+    redesign: Annotated[bool, about("From the stored sweeps, without playing.")] = False,
     as_json: Json = False,
 ) -> int:
     """Measure the coils of the rig and make filters for them.
@@ -366,13 +322,6 @@ def calibrate(
     is 1 if the limits of [calibration] in rig.toml are not met; run then does not use the certificate.
 
     Example: feel321 calibrate my-study
-
-    Parameters
-    ----------
-    manual
-        Type a gain instead of measuring, in m/s² at full scale; once for each.
-    redesign
-        Design anew from the stored sweeps, without playing.
     """
     from feel321.study.actuator.certificate import draw_certificate, make_manual, write_certificate
     from feel321.study.actuator.render import find_directions
@@ -501,7 +450,7 @@ def doctor(
     /,
     *,
     device: Device = None,
-    seconds: Annotated[float, within(0, 3600)] = 5.0,
+    seconds: Annotated[float, within(0, 3600), about("Duration of the pulse train, in s.")] = 5.0,
     as_json: Json = False,
 ) -> int:
     """Test the rig: list devices, measure latency and jitter, try each coil.
@@ -511,11 +460,6 @@ def doctor(
     rate, a missing channel, hum; the exit code is then 1. Without a study, --device names what to play on.
 
     Example: feel321 doctor my-study --seconds 10
-
-    Parameters
-    ----------
-    seconds
-        Duration of the pulse train, in s.
     """
     from feel321.study.actuator.certificate import judge_certificates, list_certificates
     from feel321.study.actuator.doctor import examine_rig, probe_coils, survey_devices

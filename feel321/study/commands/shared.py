@@ -67,33 +67,33 @@ def _read_columns(_kind: type, tokens: Sequence[Token]) -> tuple[str | int, ...]
     return tuple(int(name) if name.strip().isdigit() else name for name in names)
 
 
+def about(text: str, **more: Any) -> Parameter:  # noqa: ANN401 - what Parameter takes
+    """Say what an option means."""
+    return Parameter(help=text, **more)
+
+
 File = Annotated[Path, Parameter(converter=_read_path)]
 Number = Annotated[float, within(0, MOST)]
-Json = Annotated[bool, Parameter(name="--json", help="Print numbers as JSON.")]
-Out = Annotated[File | None, Parameter(name=["--out", "-o"], help="Folder of the results.")]
-Seed = Annotated[
-    int | None, within(0, MOST_SEED), Parameter(help="Random seed; the study's by default.")
-]
-Participant = Annotated[str, Parameter(metavar="ID", help="The participant's code.")]
-Rehearsals = Annotated[bool, Parameter(help="Rehearsals instead of sessions.")]
+Json = Annotated[bool, about("Print numbers as JSON.", name="--json")]
+Out = Annotated[File | None, about("Folder of the results.", name=["--out", "-o"])]
+Seed = Annotated[int | None, within(0, MOST_SEED), about("Random seed; the study's by default.")]
+Name = Annotated[str | None, Parameter(metavar="NAME")]
+Participant = Annotated[str, about("The participant's code.", metavar="ID")]
+Rehearsals = Annotated[bool, about("Rehearsals instead of sessions.")]
 Several = Annotated[tuple[str, ...], Parameter(name="--metric", metavar="NAME")]
+
+
+CLUSTER = "A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs)."
+SAID = "[default: what the file says]"
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Crew:
-    """Who does the work.
+    """Who does the work."""
 
-    Parameters
-    ----------
-    workers
-        Number of processes.
-    scheduler
-        A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
-    """
-
-    workers: Annotated[int, within(1, 1024)] = 1
-    scheduler: Annotated[str, Parameter(metavar="ADDRESS")] = ""
+    workers: Annotated[int, within(1, 1024), about("Number of processes.")] = 1
+    scheduler: Annotated[str, about(CLUSTER, metavar="ADDRESS")] = ""
 
     def employ(self) -> "Workers":
         """Employ the workers."""
@@ -111,30 +111,21 @@ ALONE = Crew()
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How a recording is read.
+    """How a recording is read."""
 
-    Parameters
-    ----------
-    unit
-        Unit of the samples.  [default: what the file says]
-    rate_hz
-        Sampling rate in Hz.  [default: what the file says]
-    columns
-        Names or numbers (from 0): time,x,y,z.
-    full_scale
-        Full scale of integer samples, in the unit.
-    resample
-        Interpolate irregular sampling to an even rate.
-    """
-
-    unit: Literal["m/s^2", "g", "mg"] | None = None
-    rate_hz: Number | None = None
+    unit: Annotated[Literal["m/s^2", "g", "mg"] | None, about(f"Unit of the samples. {SAID}")] = (
+        None
+    )
+    rate_hz: Annotated[Number | None, about(f"Sampling rate in Hz. {SAID}")] = None
     columns: Annotated[
         tuple[str | int, ...] | None,
         Parameter(converter=_read_columns, n_tokens=1, metavar="NAME,..."),
+        about("Names or numbers (from 0): time,x,y,z."),
     ] = None
-    full_scale: Number | None = None
-    resample: bool = False
+    full_scale: Annotated[Number | None, about("Full scale of integer samples, in the unit.")] = (
+        None
+    )
+    resample: Annotated[bool, about("Interpolate irregular sampling to an even rate.")] = False
 
     def read(self, path: Path) -> "Recording":
         """Read a recording, and print what was noticed in it."""

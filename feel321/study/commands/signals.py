@@ -22,6 +22,7 @@ from feel321.study.commands.shared import (
     Reading,
     Seed,
     Several,
+    about,
 )
 from feel321.study.folder import StudyFolder, require_study
 
@@ -34,6 +35,7 @@ RATE_TOLERANCE_HZ = 1.0
 """A WAV header holds whole Hz only; a recording's true rate may lie between."""
 
 Chosen = TypeVar("Chosen")
+OWN = "(a wrong name lists all), or your own: methods/my321.py:my321"
 Raw = Annotated[bool, Parameter(help="As measured: no offset removed, all frequencies kept.")]
 
 
@@ -41,11 +43,11 @@ def reduce(  # noqa: PLR0913 - one per option
     recording: File,
     /,
     *,
-    reducer: Annotated[str, Parameter(metavar="NAME")],
-    output: Annotated[File, Parameter(name=["--out", "-o"])],
+    reducer: Annotated[str, about(f"The 321 transform {OWN}", metavar="NAME")],
+    out: Annotated[File, about("A .wav file; a JSON file goes beside it.", name=["--out", "-o"])],
     source: Reading = AS_IT_SAYS,
     raw: Raw = False,
-    force: bool = False,
+    force: Annotated[bool, about("Replace the out if it exists.")] = False,
     as_json: Json = False,
 ) -> None:
     """Reduce a recording to one axis.
@@ -54,15 +56,6 @@ def reduce(  # noqa: PLR0913 - one per option
     m/s^2 with a JSON file that says how it was made.
 
     Example: feel321 reduce oak.csv --reducer dft321 -o oak-dft321.wav
-
-    Parameters
-    ----------
-    reducer
-        The 321 transform (a wrong name lists all), or one of your own: methods/my321.py:my321.
-    output
-        The .wav file; a JSON file goes beside it.
-    force
-        Replace the output if it exists.
     """
     from feel321 import __version__
     from feel321.doors import name_of
@@ -72,10 +65,10 @@ def reduce(  # noqa: PLR0913 - one per option
     from feel321.study.methods import open_reducer
 
     reduce_it = _choose(open_reducer, reducer)
-    if output.suffix.lower() != ".wav":
-        shared.refuse_use(f"--out must end in .wav, got {str(output)!r}; give it that ending")
-    read, sidecar = source.read(recording), output.with_suffix(".json")
-    _check_output(recording, output, sidecar, force=force)
+    if out.suffix.lower() != ".wav":
+        shared.refuse_use(f"--out must end in .wav, got {str(out)!r}; give it that ending")
+    read, sidecar = source.read(recording), out.with_suffix(".json")
+    _check_output(recording, out, sidecar, force=force)
     steps = None if raw else Conditioning()
     conditioned, said = _condition(read, steps)
     method = getattr(reduce_it, "method", None)
@@ -94,10 +87,10 @@ def reduce(  # noqa: PLR0913 - one per option
         **said,
         **_match(conditioned, reduced),
     }
-    write_wav(output, reduced, round(read.rate_hz))
+    write_wav(out, reduced, round(read.rate_hz))
     write_text(sidecar, shared.dump_json(facts) + "\n")
     done = f"{read.name} through {name_of(reducer)}, {read.n_samples} samples, m/s^2"
-    shared.print_facts(facts, [f"{output}: {done}", *shared.lay_facts(facts)], as_json=as_json)
+    shared.print_facts(facts, [f"{out}: {done}", *shared.lay_facts(facts)], as_json=as_json)
 
 
 def match(
@@ -106,7 +99,7 @@ def match(
     /,
     *,
     source: Reading = AS_IT_SAYS,
-    metric: Several = (),
+    metric: Annotated[Several, about(f"Also this metric {OWN}; repeatable.")] = (),
     raw: Raw = False,
     as_json: Json = False,
 ) -> None:
@@ -116,11 +109,6 @@ def match(
     to 1000 Hz. The exit code is 1 if there is nothing to match; --json then holds null and the reason.
 
     Example: feel321 match oak.csv oak-dft321.wav --json
-
-    Parameters
-    ----------
-    metric
-        Also this metric (a wrong name lists all), or your own (mylab.haptics:psnr); repeatable.
     """
     from feel321.doors import name_of
     from feel321.stimuli.wav import read_wav
@@ -251,12 +239,12 @@ def _match(recording: "Recording", samples: "Samples") -> dict[str, Any]:
 
 def tradeoff(  # noqa: PLR0913 - one per option
     *places: Annotated[File, Parameter(name="[STUDY | RECORDING...]")],
-    scenes: bool = False,
-    thorough: bool = False,
-    online: bool = False,
-    latency_ms: Number | None = None,
-    mounting: Literal["any", "recorded"] = "any",
-    tolerance_db: Number | None = None,
+    scenes: Annotated[bool, about("Also the bundled scenes.")] = False,
+    thorough: Annotated[bool, about("Whole recordings, 72 mountings, hard scenes.")] = False,
+    online: Annotated[bool, about("The reducer runs while the vibration is made.")] = False,
+    latency_ms: Annotated[Number | None, about("Longest delay, with device. [default: 45]")] = None,
+    mounting: Annotated[Literal["any", "recorded"], about("Mountings that advice is for.")] = "any",
+    tolerance_db: Annotated[Number | None, about("Near enough to the best. [default: 1]")] = None,
     out: Out = None,
     seed: Seed = None,
     crew: Crew = ALONE,
@@ -268,21 +256,6 @@ def tradeoff(  # noqa: PLR0913 - one per option
 
     Example: feel321 tradeoff my-study
              feel321 tradeoff oak.csv pine.csv --online --latency-ms 45
-
-    Parameters
-    ----------
-    scenes
-        Also the bundled scenes.
-    thorough
-        Whole recordings, 72 mountings, and difficult scenes; many times as long.
-    online
-        The reducer runs while the vibration is made.
-    latency_ms
-        Longest delay online, device included, in ms.  [default: 45]
-    mounting
-        Mountings of the sensor that advice must hold for.
-    tolerance_db
-        How far from the best is as good, in dB of energy.  [default: 1]
     """
     from feel321.analysis.report.folder import check_target
     from feel321.analysis.tradeoff import judge

@@ -15,10 +15,12 @@ from feel321.study.commands.shared import (
     Crew,
     File,
     Json,
+    Name,
     Out,
     Rehearsals,
     Seed,
     Several,
+    about,
     verb,
     within,
 )
@@ -37,10 +39,10 @@ def new(
     folder: Annotated[File | None, Parameter(name="DIR")] = None,
     /,
     *,
-    study: Annotated[str | None, Parameter(choices=list_bundled())] = None,
-    methods: bool = False,
-    texts: Annotated[str | None, Parameter(metavar="LANGUAGE")] = None,
-    all_settings: bool = False,
+    study: Annotated[str | None, about("A ready study.", choices=list_bundled())] = None,
+    methods: Annotated[bool, about("Also examples of your own methods, in methods/.")] = False,
+    texts: Annotated[str | None, about("Only write the participants' texts: en or de.")] = None,
+    all_settings: Annotated[bool, about("Only print every setting.")] = False,
 ) -> None:
     """Begin a study: a commented study.toml, ready to use.
 
@@ -48,17 +50,6 @@ def new(
              feel321 new my-study --study park2019
              feel321 new my-study --texts de
              feel321 new --all-settings
-
-    Parameters
-    ----------
-    study
-        A ready study.
-    methods
-        Also examples of your own methods, in methods/.
-    texts
-        Only write the participants' texts (en, de).
-    all_settings
-        Only print every setting.
     """
     if all_settings:
         from feel321.study.all_settings import FILES, write_list
@@ -83,12 +74,15 @@ def new(
         shared.echo(f"{made.settings}: edit it, then: feel321 check {quote(str(folder))}")
 
 
+OWN = "Your own method instead: mylab:my321, methods/my321.py:my321, or its table's name."
+
+
 def check(
     study: File = Path(),
     /,
     *,
-    method: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    kind: Literal["reducer", "metric"] | None = None,
+    method: Annotated[Name, about(OWN)] = None,
+    kind: Annotated[Literal["reducer", "metric"] | None, about("Guessed if left out.")] = None,
     as_json: Json = False,
 ) -> int:
     """Check everything that a study needs.
@@ -99,13 +93,6 @@ def check(
     Example: feel321 check my-study
              feel321 check --method mylab.haptics:my321
              feel321 check my-study --method methods/psnr.py:psnr --kind metric
-
-    Parameters
-    ----------
-    method
-        A method of your own instead: mylab:my321, methods/my321.py:my321, or its table's name.
-    kind
-        Kind of method; guessed if left out.
     """
     if method is not None:
         return _check_method(study, method, kind, as_json=as_json)
@@ -196,7 +183,10 @@ def power(_opened: Study, found: "StudyPower", *, as_json: bool) -> None:
     shared.print_results(found.path, as_json=as_json)
 
 
-def freeze(study: File = Path(), /, *, show: bool = False, as_json: Json = False) -> None:
+Show = Annotated[bool, about("Only show what is frozen and what changed.")]
+
+
+def freeze(study: File = Path(), /, *, show: Show = False, as_json: Json = False) -> None:
     """Freeze hypotheses, design and analysis before the first rating is seen.
 
     Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
@@ -205,11 +195,6 @@ def freeze(study: File = Path(), /, *, show: bool = False, as_json: Json = False
 
     Example: feel321 freeze my-study
              feel321 freeze my-study --show
-
-    Parameters
-    ----------
-    show
-        Only show what is frozen and what changed.
     """
     from feel321.study import freeze as freezing
 
@@ -322,9 +307,9 @@ def seal(opened: Study, found: "Seal", *, as_json: bool) -> None:
 
 def export(
     *study_dir: Annotated[File, Parameter(name="[STUDY] DIR")],
-    keep_ids: bool = False,
-    simulated: bool = False,
-    for_r: Annotated[bool, Parameter(name="--r")] = False,
+    keep_ids: Annotated[bool, about("Keep participants' codes.")] = False,
+    simulated: Annotated[bool, about("Simulated participants too, marked as such.")] = False,
+    for_r: Annotated[bool, about("Write for R and JASP instead.", name="--r")] = False,
     as_json: Json = False,
 ) -> None:
     """Write a study's data for others, into the folder DIR.
@@ -335,15 +320,6 @@ def export(
 
     Example: feel321 export my-study dataset
              feel321 export my-study for-r --r
-
-    Parameters
-    ----------
-    keep_ids
-        Keep participants' codes.
-    simulated
-        Simulated participants too, marked as such.
-    for_r
-        Write for R and JASP instead.
     """
     from feel321.study.persons.withdrawal import recording_output
 

@@ -353,10 +353,9 @@ def find_conflicts(settings: Settings) -> list[str]:
     checks = (_check_methods, _check_stimuli, _check_tasks)
     if found := [line for check in checks for line in check(settings)]:
         return found
-    tasks = make_design(settings).tasks
-    return list(dict.fromkeys(_check_comparisons(settings, tasks))) or list(
-        _check_length(settings, tasks)
-    )
+    groups = list(_list_groups(settings))
+    found = list(dict.fromkeys(_check_comparisons(settings, groups)))
+    return found or list(_check_length(settings, groups))
 
 
 def _check_methods(settings: Settings) -> Iterator[str]:
@@ -432,8 +431,12 @@ def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[
             yield f"tasks.{task}.scales: {name!r} has no words; {remedy}"
 
 
-def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
+Group = tuple[tuple[Item, ...], tuple[Task, ...]]  # what its participants feel, and do
+
+
+def _check_comparisons(settings: Settings, groups: list[Group]) -> Iterator[str]:
     """Check that surfaces have names, and that the stimuli to be built are what the tasks need."""
+    tasks = dict.fromkeys(task for _, own in groups for task in own)
     on_surfaces = [task.protocol for task in tasks if task.surface or task.reference == SURFACE]
     for number, recording in enumerate(settings.recordings, start=1):
         if on_surfaces and not recording.sample:
@@ -441,7 +444,7 @@ def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[
                 f"recordings[{number}].sample: missing, but participants touch the real surface in "
                 f"{' and '.join(on_surfaces)}; add the name that it has in the lab"
             )
-    for items, own in _list_groups(settings, tasks):
+    for items, own in groups:
         for task in own:
             try:
                 PROTOCOLS[task.protocol].make_lessons(items, task)
@@ -450,7 +453,7 @@ def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[
                 yield f"tasks.{task.protocol}: {error}"
 
 
-def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
+def _check_length(settings: Settings, groups: list[Group]) -> Iterator[str]:
     """Count the trials of each group, which are as many for each recording."""
     everything, share = len(settings.recordings), settings.session.recordings_per_participant
     if share and share > everything:
@@ -461,7 +464,7 @@ def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
     repeats = settings.session.repeats
     trials = max(
         sum(len(PROTOCOLS[task.protocol].compare(items, task)) for task in own)
-        for items, own in _list_groups(settings, tasks)
+        for items, own in groups
     ) * (repeats * (share or everything))
     if trials > MOST_TRIALS:
         yield (
@@ -471,13 +474,12 @@ def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
         )
 
 
-def _list_groups(
-    settings: Settings, tasks: tuple[Task, ...]
-) -> Iterator[tuple[tuple[Item, ...], tuple[Task, ...]]]:
+def _list_groups(settings: Settings) -> Iterator[Group]:
     """List the stimuli, as built from the first recording, and the tasks of the groups that differ in them."""
     from feel321.stimuli.sets.recipe import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
+    tasks = make_design(settings).tasks
     made = [(name_of(name), "test") for name in stimuli.reducers]
     made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
     made += [(name, "anchor") for name in ANCHORS] * stimuli.anchors
