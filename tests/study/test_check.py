@@ -1,19 +1,13 @@
 """What `check` finds besides the settings' own mistakes; origins of sets are tested with the provenance."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import pytest
 
 from feel321.protocols.texts import CATALOG, read_texts
 from feel321.stimuli.sets.build import Facts
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study, find_warnings
-
-if TYPE_CHECKING:
-    from feel321.study.folder import StudyFolder
 
 
 @pytest.fixture

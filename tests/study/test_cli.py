@@ -1,31 +1,23 @@
 """The command line in one process: its help, how it refuses, and what the verbs of a study print."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from cyclopts import Argument
 from cyclopts.annotations import resolve_optional
 
 from feel321.analysis.report import correlations
 from feel321.study import cli
 from feel321.study.actuator import doctor
 from feel321.study.cli import APP, VERBS, main
-from feel321.study.folder import create_study, read_template
+from feel321.study.folder import StudyFolder, create_study, read_template
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from cyclopts import Argument
-
-    from feel321.study.folder import StudyFolder
-
-    Capture = pytest.CaptureFixture[str]
+Capture = pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize("verb", VERBS)

@@ -1,7 +1,5 @@
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,9 +7,6 @@ import pytest
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.analyze import gather_recordings
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 STUDY = """
 [[recordings]]

@@ -1,12 +1,11 @@
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.table.reading import Further
 from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.metrics import METRICS
@@ -27,11 +26,6 @@ from feel321.study.analyze import (
 from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.analysis.table.reading import Further
 
 REDUCERS = ("saz321", "pca321", "dft321_windowed")
 STUDY = f"""

@@ -1,10 +1,7 @@
 """The study as Python shows it: the same steps and the same files as the verbs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,10 +9,8 @@ import pytest
 from feel321.study import Study
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import change_settings
-
-if TYPE_CHECKING:
-    from feel321.study.folder import StudyFolder
 
 SHORT = """\
 [study]  # a pilot

@@ -1,9 +1,8 @@
 """The verb: what it writes and prints, on a small study; how it refuses."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,10 +13,7 @@ from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import edit_settings
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    Capture = pytest.CaptureFixture[str]
+Capture = pytest.CaptureFixture[str]
 
 STUDY = """
 [study]

@@ -1,11 +1,10 @@
 """The verb `power`: the answer is true, the page holds the numbers of the JSON, bad values get one line."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -14,13 +13,9 @@ from feel321.analysis.power.plan import find_row
 from feel321.jobs import ALONE
 from feel321.study import cli, power
 from feel321.study.folder import StudyFolder, create_study
+from feel321.study.power import PowerTask, StudyPower
+from feel321.study.session.journal import Clock
 from feel321.study.simulation import simulate_study
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.study.power import PowerTask, StudyPower
-    from feel321.study.session.journal import Clock
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 GRID = ["--participants", "6,12", "--recordings", "4,8", "--reducers", "5", "--repeats", "1"]

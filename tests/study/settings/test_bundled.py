@@ -1,11 +1,11 @@
 """The studies that come with feel321, published or designs, run as they are, but for their length."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
 
 import pytest
 
@@ -14,11 +14,6 @@ from feel321.study.folder import StudyFolder, create_study, list_bundled, read_t
 from feel321.study.settings.read import read_settings
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study, check_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from datetime import datetime
-    from pathlib import Path
 
 # What one participant judges: recordings x comparisons.
 JUDGEMENTS = {

@@ -1,11 +1,11 @@
 """What `study.toml` says reaches recordings, recipe, texts and design; and the list of all settings."""
 
-from __future__ import annotations
-
 import re
 import tomllib
+from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ from feel321.stimuli.wav import write_wav
 from feel321.study.actuator.rig import read_rig
 from feel321.study.all_settings import FILES, list_settings, read_meanings, write_list
 from feel321.study.cli import main
-from feel321.study.folder import create_study, read_template
+from feel321.study.folder import StudyFolder, create_study, read_template
 from feel321.study.observer.model import ObserverModel
 from feel321.study.session.plan import Design, Stale
 from feel321.study.session.ports import Surface
@@ -46,12 +46,6 @@ from feel321.study.settings.read import (
 )
 from feel321.study.settings.schema import Settings
 from feel321.study.workflow import build_study, check_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
 SCENE = '[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n'
