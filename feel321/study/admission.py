@@ -4,19 +4,17 @@
 read. Two studies of one process whose protocols have one name must take turns: the last that was read has it.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321 import intake
 from feel321.doors import describe
-from feel321.extensions import call, find_method, is_given
-from feel321.protocols.tasks import PROTOCOLS, Protocol
+from feel321.extensions import Method, call, find_method, is_given
+from feel321.protocols.tasks import PROTOCOLS, Comparisons, Items, Protocol
 from feel321.protocols.trial import (
     MATCHING,
     RATING_RANGE,
@@ -26,12 +24,8 @@ from feel321.protocols.trial import (
     Comparison,
     Judgement,
     Part,
+    Task,
 )
-
-if TYPE_CHECKING:
-    from feel321.extensions import Method
-    from feel321.protocols.tasks import Comparisons, Items
-    from feel321.protocols.trial import Task
 
 OURS = tuple(name for name, one in PROTOCOLS.items() if not one.sha256)
 """Names of feel321's own protocols."""

@@ -1,22 +1,18 @@
 """The complete list of settings, made from the schemas; `settings/meanings.toml` holds the sentence of each key."""
 
-from __future__ import annotations
-
 import json
 import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, PydanticUserError, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
 
 from feel321.study.actuator.rig import Rig
 from feel321.study.settings.fields import MOST, list_tables
 from feel321.study.settings.schema import Settings
-
-if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
 
 FILES: dict[str, type[BaseModel]] = {"study.toml": Settings, "rig.toml": Rig}
 UNITS = {

@@ -1,13 +1,12 @@
 """A study's own reducers and metrics, by the names that its settings and the command line use."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from inspect import signature
-from typing import TYPE_CHECKING, cast
+from pathlib import Path
+from typing import cast
 
 from feel321.doors import refuse_name
-from feel321.extensions import FORMS, find_method, list_entry_points
+from feel321.extensions import FORMS, Method, find_method, list_entry_points
 from feel321.names import WRITTEN
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
@@ -16,12 +15,7 @@ from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL
 from feel321.study.folder import SETTINGS_FILE
 from feel321.study.settings.read import find_metric, find_reducer, read_settings
 from feel321.study.settings.schema import RecordingTable, Settings
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.extensions import Method
-    from feel321.types import Metric, Reducer
+from feel321.types import Metric, Reducer
 
 PAIR = ("acceleration", "reduced", "rate_hz")  # of a metric; a reducer lacks the second
 

@@ -4,31 +4,23 @@ What is felt takes as long as the stimuli do. What people add, by answering, fee
 the journals of real participants; before there are any, from the response times of simulated ones.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import exp
 from statistics import median
-from typing import TYPE_CHECKING
 
 from feel321.protocols.agenda import SECONDS, Agenda
+from feel321.protocols.texts import Question
 from feel321.protocols.threshold import name_tone
-from feel321.protocols.trial import VALID, Page
+from feel321.protocols.trial import VALID, Flow, Item, Page, Task, Trial
+from feel321.stimuli.sets.manifest import StimulusSet
+from feel321.study.folder import StudyFolder
 from feel321.study.session.engine import find_gap
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
-from feel321.study.session.plan import make_trials, replay
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from feel321.protocols.texts import Question
-    from feel321.protocols.trial import Flow, Item, Task, Trial
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Records
-    from feel321.study.session.plan import Course, Design, Dossier, Plan
+from feel321.study.session.journal import Records
+from feel321.study.session.plan import Course, Design, Dossier, Plan, make_trials, replay
 
 UNHURRIED = (0.7, 0.4)
 """Mean and standard deviation of the logarithm of a response time in s: a median of 2.0 s."""
@@ -82,7 +74,7 @@ class Sitting:
     tasks: Mapping[str, Task] = field(default_factory=dict)
 
     @classmethod
-    def plan(cls, course: Plan | Course, flow: Flow, durations: Mapping[str, float]) -> Sitting:
+    def plan(cls, course: Plan | Course, flow: Flow, durations: Mapping[str, float]) -> "Sitting":
         """Take trials from a plan, and the duration of tones from its threshold block, if it has one."""
         tasks = {task.protocol: task for task in course.tasks}
         if (block := course.threshold) is not None:

@@ -1,57 +1,47 @@
 """The power of a study: design and planted truth, from `study.toml` and the stimulus set; the answer and its page."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from pandas import DataFrame, concat
 
 from feel321 import __version__
 from feel321.analysis.figures import style
 from feel321.analysis.power import plan as planning
 from feel321.analysis.power import truth as planted
+from feel321.analysis.power.plan import PowerPlan
+from feel321.analysis.power.truth import PowerDesign, Truth
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table import reading
-from feel321.analysis.table.items import split_tests
+from feel321.analysis.table.items import Part, Table, split_tests
+from feel321.analysis.table.metrics import Step
+from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff import results
 from feel321.analysis.words import ABSENT, format_count, format_name
 from feel321.doors import check_name
 from feel321.files import make_folder
+from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study import ratings, sessions
 from feel321.study.analyze import measure_declared
-from feel321.study.folder import UsageError
+from feel321.study.folder import StudyFolder, UsageError
 from feel321.study.observer.model import make_model
 from feel321.study.session import plan as plans
 from feel321.study.session.plan import list_by_code
 from feel321.study.settings import read, schema
+from feel321.study.settings.schema import Settings
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from matplotlib.figure import Figure
-
-    from feel321.analysis.power.plan import PowerPlan
-    from feel321.analysis.power.truth import PowerDesign, Truth
-    from feel321.analysis.table.items import Part, Table
-    from feel321.analysis.table.metrics import Step
-    from feel321.analysis.table.reading import Further
-    from feel321.jobs import Workers
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.folder import StudyFolder
-    from feel321.study.settings.schema import Settings
-
-    Numbers = int | Sequence[int]
+Numbers = int | Sequence[int]
 
 OWN = "study"  # A pilot that is no file: the study's own ratings
 SIZES = planted.SIZES
@@ -307,7 +297,7 @@ def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studi
     keep: Path,
     workers: Workers,
     progress: Callable[[int, int], None],
-) -> StudyPower:
+) -> "StudyPower":
     """Compute the power of all designs; sizes: by the names of `SIZES`; hypothesis: attribute/metric."""
     factors = {name: _list_numbers(numbers, name) for name, numbers in sizes.items()}
     people, share = factors.get("participants", ()), task.share

@@ -1,17 +1,16 @@
 """Sessions of simulated participants: who takes part, what they plant, and many of them side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from functools import partial
 from itertools import count
 from threading import Event, Lock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.study.checkpoints import note_checkpoint
+from feel321.study.folder import StudyFolder
 from feel321.study.observer.model import (
     Casting,
     Touch,
@@ -28,15 +27,11 @@ from feel321.study.ratings import write_matches, write_ratings
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Clock, Journal, list_journals, read_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, Plan
+from feel321.study.session.ports import Presenter
 from feel321.study.sessions import Room, lead_session, open_room, plan_sessions, require_current_set
 from feel321.study.settings.read import make_identity, read_settings
+from feel321.study.settings.schema import Settings
 from feel321.study.strength import find_unfelt
-
-if TYPE_CHECKING:
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.ports import Presenter
-    from feel321.study.settings.schema import Settings
 
 SIDE_BY_SIDE = 16
 """Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
