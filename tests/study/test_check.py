@@ -30,16 +30,10 @@ def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: 
 @pytest.mark.parametrize(
     ("consent", "words"),
     [
-        (
-            "Read this. " * 300,
-            "page 'consent': it must fit on one screen, got 2.5 screens; shorten it",
-        ),
-        (
-            "w" * 120,
-            f"page 'consent': got '{'w' * 60}...', which is too long for its place; shorten it",
-        ),
+        ("Read this. " * 300, "page 'consent': it must fit on one screen, got 2.5 screens; shorten it"),
+        ("w" * 120, f"page 'consent': got '{'w' * 60}...', which is too long for its place; shorten it"),
     ],
-)
+)  # fmt: skip
 def test_texts_that_no_screen_has_room_for_are_named(
     study: StudyFolder, consent: str, words: str
 ) -> None:

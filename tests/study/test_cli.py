@@ -308,16 +308,13 @@ ROOM = "No space left on device; make room there and run again"
 @pytest.mark.parametrize(
     ("error", "message"),
     [
-        (
-            KeyError("no\nway"),
-            "unexpected KeyError: 'no\\nway'; run again with feel321 --traceback",
-        ),
+        (KeyError("no\nway"), "unexpected KeyError: 'no\\nway'; run again with feel321 --traceback"),
         (RecursionError("deep\ndown"), "unexpected RecursionError: deep down; run again with"),
         (ValueError("nothing\x1b[2J there"), "nothing\\u001b[2J there"),
         (FULL, ROOM),
         (OSError(errno.EIO, "Input/output error", "a.csv"), "a.csv: Input/output error; check the"),
     ],
-)
+)  # fmt: skip
 def test_whatever_goes_wrong_is_one_line_and_exit_1(
     error: Exception, message: str, study: StudyFolder, monkeypatch: pytest.MonkeyPatch,
     capsys: Capture,
