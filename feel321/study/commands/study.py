@@ -25,7 +25,6 @@ from feel321.study.commands.shared import (
     within,
 )
 from feel321.study.folder import StudyFolder, list_bundled, read_template, require_study
-from feel321.study.session.opening import FROZEN_FILE
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
@@ -197,6 +196,7 @@ def freeze(study: File = Path(), /, *, show: Show = False, as_json: Json = False
              feel321 freeze my-study --show
     """
     from feel321.study import freeze as freezing
+    from feel321.study.session.opening import FROZEN_FILE
 
     opened = shared.open_study(study)
     folder = opened.folder
