@@ -1,4 +1,4 @@
-"""The folder of a study: its places and tables, how it is begun and found."""
+"""The folder of a study: its places and tables, how it is begun and found; what checks of it give."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from feel321.doors import check_name
 from feel321.files import create_text, is_of_group, make_folder
+from feel321.records import Result
 from feel321.study.session.journal import PARTICIPANT_ID, list_journals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
+
+    from pandas import DataFrame
 
     from feel321.study.session.plan import Dossier
 
@@ -225,3 +228,57 @@ def read_template(bundled: str | None = None) -> str:
         return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
     check_name(bundled, list_bundled(), "study")
     return (BUNDLED / f"{bundled}.toml").read_text(encoding="utf-8")
+
+
+# Results of checking, auditing and sealing a study.
+
+
+class Findings(Result):
+    """Texts of several kinds."""
+
+    __slots__ = ()
+
+    def to_frame(self) -> DataFrame:
+        """Return one row per finding, with the columns `kind` and `text`."""
+        import pandas as pd
+
+        kinds = {name: value for name, value in self.to_dict().items() if isinstance(value, list)}
+        rows = [(kind.rstrip("s"), text) for kind, texts in kinds.items() for text in texts]
+        return pd.DataFrame(rows, columns=["kind", "text"])
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Problems(Findings):
+    """What stands in the way of a study; what may not be meant; how strong stimuli are; remarks on recordings."""
+
+    problems: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def __add__(self, other: Problems) -> Problems:
+        """Put what was found in two parts of a study together."""
+        names = ("problems", "warnings", "notes", "remarks")
+        texts = {name: getattr(self, name) + getattr(other, name) for name in names}
+        return Problems(**texts, figures={**self.figures, **other.figures})
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Audit(Findings):
+    """Findings: every gap, duplicate and edit; remarks; what was compared; id of the newest checkpoint, if any."""
+
+    findings: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+    sentence: str = ""
+    checkpoint: str = ""
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Seal(Findings):
+    """When, and the checkpoint's id, for the lab book; remotes that have it; problems: why others have not."""
+
+    utc: str
+    checkpoint: str
+    places: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()

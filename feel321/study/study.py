@@ -9,7 +9,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Self
 
 from feel321.doors import as_path, as_seed, follow
-from feel321.study.folder import StudyFolder, UsageError, create_study, require_study
+from feel321.study.folder import (
+    Audit,
+    Problems,
+    Seal,
+    StudyFolder,
+    UsageError,
+    create_study,
+    require_study,
+)
 from feel321.study.session.journal import Clock, utc_now
 
 if TYPE_CHECKING:
@@ -20,7 +28,6 @@ if TYPE_CHECKING:
     from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.findings import Audit, Problems, Seal
     from feel321.study.power import StudyPower
     from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
@@ -238,7 +245,6 @@ class Study:
             Fail without this checkpoint.
         """
         from feel321.study.auditing.study import examine
-        from feel321.study.findings import Audit
         from feel321.study.freeze import describe_frozen, find_faults
 
         with follow(self.progress, "audit") as step:

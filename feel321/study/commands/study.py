@@ -30,7 +30,7 @@ from feel321.study.study import Study
 if TYPE_CHECKING:
     from feel321.analysis.report.write import Results
     from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.findings import Audit, Seal
+    from feel321.study.folder import Audit, Seal
     from feel321.study.power import StudyPower
 
 
