@@ -33,7 +33,6 @@ from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study import ratings, sessions
-from feel321.study.analyze import measure_declared
 from feel321.study.folder import StudyFolder, UsageError
 from feel321.study.observer.model import make_model
 from feel321.study.session import plan as plans
@@ -84,8 +83,12 @@ def set_up(
     pilot: str | Path | None = None,
     pilot_manifest: Path | None = None,
     wanted: float = planted.ENOUGH,
+    further: Further | None = None,
 ) -> PowerTask:
-    """Set up the power analysis of a study; other slopes than those of `effects` are the simulated observers'."""
+    """Set up the power analysis of a study; other slopes than those of `effects` are the simulated observers'.
+
+    further: the metrics that the analysis declares and the manifest lacks.
+    """
     wanted_effects = effects if isinstance(effects, Mapping) else _read_effects(effects)
     settings = read.read_settings(study.settings)
     if settings.session.recordings_per_participant:
@@ -95,7 +98,6 @@ def set_up(
         )
     stimuli = read_stimuli(study.stimuli)
     sessions.require_current_set(study, settings)
-    further = measure_declared(study, settings)
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
     table = _tabulate_plan(study, settings, stimuli, groups=share, further=further)

@@ -332,6 +332,7 @@ class Study:
         from feel321.analysis.report.folder import check_target
         from feel321.jobs import as_workers
         from feel321.study import power
+        from feel321.study.analyze import measure_declared
         from feel321.study.persons.withdrawal import recording_output
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
@@ -341,8 +342,9 @@ class Study:
         recording = recording_output(self.folder, "power", target, now=self.now)
         with recording, follow(self.progress, "power") as step:
             task = power.set_up(
-                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, wanted=wanted
-            )
+                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, wanted=wanted,
+                further=measure_declared(self.folder, self.settings),
+            )  # fmt: skip
             found = power.plan_study(
                 task,
                 dict(zip(power.SIZES, sizes, strict=True)),
