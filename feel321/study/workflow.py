@@ -25,7 +25,6 @@ from feel321.study.actuator.certificate import judge_certificates, list_certific
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.checkpoints import declaring
 from feel321.study.folder import SETTINGS_FILE, Problems, StudyFolder
-from feel321.study.methods import list_methods
 from feel321.study.minutes import measure_design
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
@@ -141,7 +140,7 @@ def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
         make_rule(rule)
     return [
         f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
-        for one in list_methods(settings, study.path)
+        for one in read.list_methods(settings, study.path)
         for found in check_method(one, quick=True)
         if not found.passed
     ]

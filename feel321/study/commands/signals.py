@@ -62,7 +62,7 @@ def reduce(  # noqa: PLR0913 - one per option
     from feel321.files import write_text
     from feel321.stimuli.condition import Conditioning
     from feel321.stimuli.wav import write_wav
-    from feel321.study.methods import open_reducer
+    from feel321.study.settings.read import open_reducer
 
     reduce_it = _choose(open_reducer, reducer)
     if out.suffix.lower() != ".wav":
@@ -112,7 +112,7 @@ def match(
     """
     from feel321.doors import name_of
     from feel321.stimuli.wav import read_wav
-    from feel321.study.methods import open_metric
+    from feel321.study.settings.read import open_metric
 
     further = {name_of(name): _choose(open_metric, name) for name in metric}
     read = source.read(recording)
@@ -263,10 +263,9 @@ def tradeoff(  # noqa: PLR0913 - one per option
     from feel321.analysis.tradeoff.page import advise_tradeoff
     from feel321.stimuli.reducers.registry import REDUCERS
     from feel321.study.analyze import find_ratings, gather_recordings
-    from feel321.study.methods import list_for_tradeoff
     from feel321.study.persons.withdrawal import recording_output
     from feel321.study.session.journal import utc_now
-    from feel321.study.settings.read import read_settings
+    from feel321.study.settings.read import list_for_tradeoff, read_settings
 
     folder, extra = _find_places(places, scenes=scenes)
     try:

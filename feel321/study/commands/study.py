@@ -111,7 +111,7 @@ def check(
 def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -> int:
     """Check one of the lab's own methods, and print a line for each check."""
     from feel321.stimuli.conform import check_method
-    from feel321.study.methods import open_method
+    from feel321.study.settings.read import open_method
 
     method = open_method(name, folder, kind)
     found = check_method(method)

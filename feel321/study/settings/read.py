@@ -4,15 +4,17 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
 from difflib import get_close_matches
+from inspect import signature
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from feel321 import intake
 from feel321.doors import describe, name_of, refuse_name
-from feel321.extensions import Method, find_method, is_given
+from feel321.extensions import FORMS, Method, find_method, is_given, list_entry_points
 from feel321.files import create_text, make_folder, temporary_folder, write_text
 from feel321.names import METRIC_INFO, WRITTEN
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
@@ -21,13 +23,14 @@ from feel321.protocols.threshold import MatchingBlock
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import find_format, read_own, read_recording
+from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, check_names
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
-from feel321.study.folder import TEMPLATES, StudyFolder
+from feel321.study.folder import SETTINGS_FILE, TEMPLATES, StudyFolder
 from feel321.study.session.journal import digest
 from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
@@ -40,6 +43,7 @@ from feel321.study.settings.schema import (
     Settings,
     TaskTable,
 )
+from feel321.types import Metric, Reducer
 
 NO_METHODS = (ORIGINAL, NO_REFERENCE)
 MOST_TRIALS = 10_000
@@ -239,6 +243,9 @@ def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
     return Recipe(conditioning=steps, **(stimuli | own), **rig, seed=seed)
 
 
+# Reducers and metrics of the lab's own, by the names that settings and the command line use.
+
+
 def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
     """Find one of the lab's own reducers; a name of feel321's stays a name."""
     if name in REDUCERS or name in NO_METHODS:
@@ -253,6 +260,71 @@ def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Met
         return name
     declared = {key: table.to_facts() for key, table in settings.metrics.items()}
     return find_method("metric", name, taken=METRICS, folder=folder, declared=declared)
+
+
+def open_reducer(name: str, folder: Path) -> Reducer:
+    """Open a reducer: feel321's, or one of the study in a folder, of its files, or of an installed package."""
+    settings = _read_if_there(folder)
+    if name in NO_METHODS:
+        allowed = (*REDUCERS, *settings.reducers)
+        raise ValueError(f"{refuse_name(name, allowed, 'reducer')}; {FORMS}")
+    found = find_reducer(settings, name, folder)
+    return REDUCERS[name] if isinstance(found, str) else OwnReducer(found)
+
+
+def open_metric(name: str, folder: Path) -> Metric:
+    """Open a metric likewise."""
+    found = find_metric(_read_if_there(folder), name, folder)
+    return METRICS[name] if isinstance(found, str) else OwnMetric(found)
+
+
+def open_method(name: str, folder: Path, kind: str | None = None) -> Method:
+    """Open one of the lab's own methods; without a kind, a metric is what takes three arguments."""
+    settings = _read_if_there(folder)
+    if kind is None and name not in settings.reducers:
+        takes_pair = name in settings.metrics or name in list_entry_points("metric")
+        if ":" in name and not takes_pair:
+            own = find_method("reducer", name, folder=folder)
+            with suppress(ValueError, TypeError):  # whatever is wrong with it is found again
+                takes_pair = len(signature(own.load()).parameters) == 3  # noqa: PLR2004 - and the rate
+        kind = "metric" if takes_pair or name in METRICS else None
+    found = (find_metric if kind == "metric" else find_reducer)(settings, name, folder)
+    if isinstance(found, str):
+        raise ValueError(f"{name} is feel321's own; name a reducer or metric of yours")  # noqa: TRY004
+    return found
+
+
+def _read_if_there(folder: Path) -> Settings:
+    path = folder / SETTINGS_FILE
+    there = path.is_file()
+    return read_settings(path) if there else Settings(recordings=(RecordingTable(scene="bumps"),))
+
+
+def list_methods(settings: Settings, folder: Path) -> list[Method]:
+    """List the lab's own reducers and metrics that a study uses or declares."""
+    stimuli = settings.stimuli
+    reducers = dict.fromkeys((*stimuli.reducers, stimuli.reference, *settings.reducers))
+    # Tables without code say what a column means.
+    declared = [name for name, table in settings.metrics.items() if table.use or table.command]
+    found = [find_reducer(settings, name, folder) for name in reducers]
+    metrics = dict.fromkeys((*stimuli.metrics, *declared))
+    found += [find_metric(settings, name, folder) for name in metrics]
+    return list({(one.kind, one.name): one for one in found if not isinstance(one, str)}.values())
+
+
+def list_for_tradeoff(
+    settings: Settings, folder: Path
+) -> tuple[dict[str, Reducer], dict[str, Metric]]:
+    """List the lab's own reducers, but those made elsewhere, which reduce nothing else; and metrics beside ours."""
+    asked = [name for name in settings.stimuli.metrics if name in METRICS and name not in WRITTEN]
+    metrics: dict[str, Metric] = {name: METRICS[name] for name in asked}
+    reducers: dict[str, Reducer] = {}
+    for one in list_methods(settings, folder):
+        if one.kind == "metric":
+            metrics[one.name] = OwnMetric(one)
+        elif one.origin != "made":
+            reducers[one.name] = OwnReducer(one)
+    return reducers, metrics
 
 
 CONSENT = "consent"  # the page whose text a lab can set by itself
