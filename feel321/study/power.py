@@ -81,7 +81,6 @@ def set_up(
     *,
     effects: Mapping[str, float] | Sequence[str] = (),
     pilot: str | Path | None = None,
-    pilot_manifest: Path | None = None,
     wanted: float = planted.ENOUGH,
     further: Further | None = None,
 ) -> PowerTask:
@@ -121,7 +120,7 @@ def set_up(
     usual = {"slopes": known, **{name: getattr(settings.observer, name) for name in planted.SHARES}}
     truth, notes = planted.Truth(**usual), _list_notes(rated, slopes, share)
     if pilot is not None:
-        given = _read_pilot(study, stimuli, pilot, listed=pilot_manifest, further=further)
+        given = _read_pilot(study, stimuli, pilot, further=further)
         name = "this study" if str(pilot) == OWN else Path(pilot).name
         truth = _fit_pilot(given, usual, name)
         if given.rows["simulated"].any():
@@ -233,28 +232,18 @@ def _plant(
 
 
 def _read_pilot(
-    study: StudyFolder,
-    stimuli: StimulusSet,
-    pilot: str | Path,
-    *,
-    listed: Path | None,
-    further: Further | None,
+    study: StudyFolder, stimuli: StimulusSet, pilot: str | Path, *, further: Further | None
 ) -> Table:
-    """Read pilot ratings, of the study's own stimuli or of others."""
+    """Read pilot ratings of the study's stimuli."""
     is_own = str(pilot) == OWN
-    path, why = (study.ratings if is_own else Path(pilot)), "no such table of ratings"
-    if is_own:
-        why = "no ratings yet"
-        if study.journals:
-            ratings.write_ratings(study, stimuli)
+    path = study.ratings if is_own else Path(pilot)
+    if is_own and study.journals:
+        ratings.write_ratings(study, stimuli)
     if not path.is_file():
+        why = "no ratings yet" if is_own else "no such table of ratings"
         raise FileNotFoundError(f"{path}: {why}; --pilot takes a file, or {OWN}")
-    return reading.read_table(
-        path,
-        stimuli.to_frame() if listed is None else listed,
-        metrics=read.read_settings(study.settings).analysis.metrics,
-        further=further if listed is None else None,
-    )
+    metrics = read.read_settings(study.settings).analysis.metrics
+    return reading.read_table(path, stimuli.to_frame(), metrics=metrics, further=further)
 
 
 def _fit_pilot(table: Table, known: Mapping[str, Any], name: str) -> Truth:
@@ -293,14 +282,13 @@ def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studi
     task: PowerTask,
     sizes: Mapping[str, Numbers],
     *,
-    hypothesis: str = "",
     studies: int = 1000,
     seed: int = 0,
     keep: Path,
     workers: Workers,
     progress: Callable[[int, int], None],
 ) -> "StudyPower":
-    """Compute the power of all designs; sizes: by the names of `SIZES`; hypothesis: attribute/metric."""
+    """Compute the power of all designs, for the slope with the least power; sizes: by the names of `SIZES`."""
     factors = {name: _list_numbers(numbers, name) for name, numbers in sizes.items()}
     people, share = factors.get("participants", ()), task.share
     if odd := [one for one in people if one % share or one < FEWEST * share]:
@@ -311,12 +299,9 @@ def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studi
     factors["participants"] = tuple(one // share for one in people)
     near = min(factors["participants"] or (PEOPLE,), key=lambda number: abs(number - PEOPLE))
     design = replace(task.design, participants=near)
-    known = {"/".join(one): one for one in design.hypotheses}
     aim = design.hypotheses[0] if not any(task.truth.slopes.values()) else None
     asked = task.effects[(task.effects["source"] == GIVEN) & (task.effects["points"] != 0)]
-    if hypothesis:
-        aim = known[check_name(hypothesis, known, "hypothesis")]
-    elif aim is None and not asked.empty:
+    if aim is None and not asked.empty:
         power = planning.find_power(design, task.truth, studies=0).table["power"]
         aim = design.hypotheses[power.loc[asked.index].sort_values(kind="stable").index[0]]
     make_folder(keep)

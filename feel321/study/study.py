@@ -283,9 +283,7 @@ class Study:
         reducers: Numbers = (),
         repeats: Numbers = (),
         effects: Mapping[str, float] | Sequence[str] = (),
-        hypothesis: str | None = None,
         pilot: str | None = None,
-        manifest: PathLike | None = None,
         wanted: float = 0.8,
         studies: int = 1000,
         workers: int | Workers = 1,
@@ -312,12 +310,8 @@ class Study:
         effects : Mapping of str to float, or sequence of str
             Slope to plan for, in points per +0.1 of a match, or per power of ten (+1 dB) of other metrics;
             repeatable; ATTRIBUTE/METRIC for one scale.  [default: as simulated observers feel]
-        hypothesis : str, optional
-            The slope to recommend a design for.  [default: the one with least power]
         pilot : str, optional
             Ratings to take standard deviations from; 'study': its own.  [default: published ones]
-        manifest : str or path, optional
-            The stimuli of the pilot.  [default: the study's]
         wanted : float
             Target power.
         studies : int
@@ -337,18 +331,16 @@ class Study:
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
-        given = None if manifest is None else as_path(manifest, "manifest")
         sizes = [participants, recordings, reducers, repeats]
         recording = recording_output(self.folder, "power", target, now=self.now)
         with recording, follow(self.progress, "power") as step:
+            further = measure_declared(self.folder, self.settings)
             task = power.set_up(
-                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, wanted=wanted,
-                further=measure_declared(self.folder, self.settings),
-            )  # fmt: skip
+                self.folder, effects=effects, pilot=pilot, wanted=wanted, further=further
+            )
             found = power.plan_study(
                 task,
                 dict(zip(power.SIZES, sizes, strict=True)),
-                hypothesis=hypothesis or "",
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
                 keep=target / power.KEPT,

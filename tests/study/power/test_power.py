@@ -63,7 +63,6 @@ def test_verb_writes_page_tables_and_json_that_agree(
         ("--effect temporal_match=2 --effect temporal_match=3", "twice"),
         ("--effect temporal_match=1e9", "-100 to 100"),
         ("--effect roughness/temporal_match=2", "realism"),
-        ("--hypothesis temporal_match", "realism/temporal_match"),
         ("--pilot no.csv", "no such table"),
         ("--pilot study", "no ratings yet"),
         ("--power 1.5", "0.06 to"),
