@@ -44,7 +44,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     screen: Annotated[int, within(0, 99), about("The participant's monitor; 0: the main one.")] = 0,
     device: Annotated[Name, about("Instead of the rig's; 'file' writes WAV files.")] = None,
     accept_rig: Annotated[bool, about("Resume on a changed rig or certificate; noted.")] = False,
-    lsl: Annotated[bool, about("Send events to the lab streaming layer.")] = False,
+    lsl: Annotated[bool, about("Send onsets to the lab streaming layer.")] = False,
     rehearse: Annotated[bool, about("Stored in rehearsals/ and never analysed.")] = False,
     simulate_participant: Annotated[bool, about("A simulated participant presses keys.")] = False,
     seed: Seed = None,
