@@ -20,8 +20,7 @@ from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_deta
 from feel321.study.auditing.evidence import Evidence, weigh
 from feel321.study.auditing.replay import MALFORMED, audit_steps
 from feel321.study.auditing.tables import Tables
-from feel321.study.findings import Audit
-from feel321.study.folder import DELIVERED, name_delivered
+from feel321.study.folder import DELIVERED, Audit, name_delivered
 from feel321.study.freeze import describe_frozen, find_faults
 from feel321.study.numbers import Holder, find_doubles, read_holder
 from feel321.study.people import describe_rigs, find_leftovers
