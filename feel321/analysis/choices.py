@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 
 NEEDED = ("participant", STIMULUS, OTHER, "rating")
 CHANCE = 0.5
-FEWEST = 3
-"""Participants and recordings below which there is no interval."""
-
+FEWEST = 3  # Participants and recordings below which there is no interval
 FEW = "Below 3 participants or 3 recordings there is no interval."
 
 

@@ -35,9 +35,7 @@ FURTHER = ("response_time_s", "simulated")
 RESERVED = (*LABELS, RATING, *FURTHER, ITEM, STIMULUS, ROLE, "repeat", "column")
 """What no metric is called: columns of these files, and those that model.R makes."""
 
-PARTS = ("", "_w", "_b", "_step")
-"""Ends of the columns of every metric."""
-
+PARTS = ("", "_w", "_b", "_step")  # Ends of the columns of every metric
 SLOPE = (
     "scale", "level", "metric", "term", "step", "estimate", "se", "low", "high", "df", "t", "p", "estimable",
 )  # fmt: skip

@@ -39,12 +39,8 @@ ALL, BOTH, RECORDING = "all", "interaction and sample", "recording"
 FEWEST = 5
 """Stimuli below which no permutation of them can show much: 1 / 4! = 0.042 is the least p of four."""
 
-ENOUGH = 10
-"""Points for each attribute that a regression wants."""
-
-MOST_GROUPS = 24
-"""Interactions at samples beyond which these are not mapped one by one."""
-
+ENOUGH = 10  # Points for each attribute that a regression wants
+MOST_GROUPS = 24  # Interactions at samples beyond which these are not mapped one by one
 ROUNDING = 1e-9
 
 

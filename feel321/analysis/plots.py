@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from feel321.records import Statistic
     from feel321.stimuli.recording import Recording, Reduced
 
-FLOOR_DB = -80.0
-"""Below the strongest: what a spectrum or spectrogram does not show."""
+FLOOR_DB = -80.0  # Below the strongest: what a spectrum or spectrogram does not show
 
 
 def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = None) -> Axes:

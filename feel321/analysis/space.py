@@ -26,20 +26,13 @@ if TYPE_CHECKING:
 
     from feel321.types import Rng
 
-FEWEST = 3
-"""Stimuli that make a shape."""
-
-CUBE = 3
-"""Axes of a stack of matrices."""
-
-PLANE = 2
-"""Dimensions of a map on paper, and the participants that a spread needs."""
-
+FEWEST = 3  # Stimuli that make a shape
+CUBE = 3  # Axes of a stack of matrices
+PLANE = 2  # Dimensions of a map on paper, and the participants that a spread needs
 STARTS = 8
 """Random starts beside the classical one; SMACOF finds the nearest local minimum, not the deepest."""
 
-ROUGH, FINE = (300, 1e-6), (1000, 1e-9)
-"""Steps at most, and the change of stress at which to stop."""
+ROUGH, FINE = (300, 1e-6), (1000, 1e-9)  # Steps at most, and the change of stress at which to stop
 
 
 def fit_space(

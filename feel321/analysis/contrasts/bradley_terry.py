@@ -27,15 +27,9 @@ if TYPE_CHECKING:
 
 TRIAL = ("first", "second", "winner")
 TIES = ("refuse", "half")
-COUNTED = 4
-"""Columns of a table of counts."""
-
-ORDER = "order"
-"""The term of being presented first."""
-
-EXTREME = 12.0
-"""A log odds of a pair beyond this is an estimate running away: one win in 160 000."""
-
+COUNTED = 4  # Columns of a table of counts
+ORDER = "order"  # The term of being presented first
+EXTREME = 12.0  # A log odds of a pair beyond this is an estimate running away: one win in 160 000
 STEPS = 60
 CLOSE = 1e-9
 RIDGE, LOOSE = 1e-10, 1e-9

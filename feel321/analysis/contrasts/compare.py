@@ -134,8 +134,7 @@ def _check_numbers(estimate: float, se: float, df: float, **limits: float) -> No
         raise ValueError(f"df must be above 0, infinity for a normal estimate, got {df}")
 
 
-GROUP = ["scale", "level", "role", "reducer"]
-"""What a profile is split by."""
+GROUP = ["scale", "level", "role", "reducer"]  # What a profile is split by
 
 
 def participant_means(ratings: Table | DataFrame) -> DataFrame:

@@ -29,12 +29,8 @@ if TYPE_CHECKING:
 AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimable"
 """Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number."""
 
-USUAL_LEVEL = "as_is"
-"""The level that a claim is about where it names none and there are several."""
-
-Ends = tuple[float, float, float]
-"""A value and the ends of its interval."""
-
+USUAL_LEVEL = "as_is"  # The level that a claim is about where it names none and there are several
+Ends = tuple[float, float, float]  # A value and the ends of its interval
 NO_NUMBER: Ends = (math.nan, math.nan, math.nan)
 
 

@@ -38,9 +38,7 @@ if TYPE_CHECKING:
     from feel321.analysis.table.items import Table
 
 OVER_RECORDINGS = "95 % t interval over recordings"
-LIMIT = 0.05
-"""Where permutations cannot give a p below, nothing is estimated."""
-
+LIMIT = 0.05  # Where permutations cannot give a p below, nothing is estimated
 MEAN, SD = "_rotation_mean", "_rotation_sd"
 
 

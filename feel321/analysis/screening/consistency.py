@@ -43,9 +43,7 @@ FEWEST_VOTES, FEWEST_RATERS = 3, 3
 FEWEST_COMPARED = 6
 """Raters below which none can stand out: nobody knows how far honest ones differ."""
 
-LEVEL = 0.05
-"""Chance that anybody is said to stand out among raters who differ as honest ones do."""
-
+LEVEL = 0.05  # Chance that anybody is said to stand out among raters who differ as honest ones do
 MOST_APART = 0.25
 """Share of raters who may stand out; with more of them it is not they who are the exception."""
 

@@ -38,27 +38,15 @@ if TYPE_CHECKING:
 
     from feel321.analysis.arrays import Values
 
-FEWEST_JUDGEMENTS = 8
-"""With fewer judgements, or pairs of them, a habit cannot be told from chance."""
-
-REACH = 1.5
-"""Fences stand this many hinge spreads outside the hinges."""
-
-FEWEST_RATERS = 5
-"""With fewer values no fence can leave one out, or a shape be seen."""
-
+FEWEST_JUDGEMENTS = 8  # With fewer judgements, or pairs of them, a habit cannot be told from chance
+REACH = 1.5  # Fences stand this many hinge spreads outside the hinges
+FEWEST_RATERS = 5  # With fewer values no fence can leave one out, or a shape be seen
 UNIMODAL = 5 / 9
 """Multimodality coefficient of evenly spread values; above it, ratings may have more than one peak."""
 
-ALL_BUT = 0.95
-"""Share of ratings at one step from which on nobody is taken to have used the scale."""
-
-ONE_SIDED = 1.6448536269514722
-"""95 % point of the normal distribution."""
-
-FASTEST_S = 0.5
-"""Nobody feels, weighs and answers in less."""
-
+ALL_BUT = 0.95  # Share of ratings at one step from which on nobody is taken to have used the scale
+ONE_SIDED = 1.6448536269514722  # 95 % point of the normal distribution
+FASTEST_S = 0.5  # Nobody feels, weighs and answers in less
 EXCELLENT, MIDDLE = 90.0, 50.0
 """The hidden reference is to be rated at least 90, the mid anchor at most; the low anchor, in the extension, 50."""
 
@@ -68,9 +56,7 @@ MOST_RATERS = 0.25
 MOST_STEPS, FULL = 11, 5
 """Different ratings up to which a scale may be one of few steps; ratings per step from which a slider would show."""
 
-SAME_POINTS = 2.0
-"""Ratings of a slider that lie no farther apart than this are at the same place."""
-
+SAME_POINTS = 2.0  # Ratings of a slider that lie no farther apart than this are at the same place
 FLOOR, PERMUTATIONS = 0.95, 499
 """Share of permutations that an expert's measure exceeds, and how many there are."""
 

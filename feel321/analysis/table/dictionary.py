@@ -23,9 +23,7 @@ from feel321.types import MetricInfo
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-DICTIONARY = "dictionary.csv"
-"""The file beside the tables that it describes."""
-
+DICTIONARY = "dictionary.csv"  # The file beside the tables that it describes
 DERIVED: Mapping[str, tuple[str, str]] = {
     "low": ("lower end of the 95 % interval of {}", ""),
     "high": ("upper end of the 95 % interval of {}", ""),

@@ -36,14 +36,9 @@ if TYPE_CHECKING:
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
 
-OTHER = "other_id"
-"""Column of the second stimulus of a choice."""
-
-SPOKEN = ("stimulus", "item")
-"""Other names of the column ``stimulus_id``."""
-
-ARMS = ("scale", "level")
-"""Columns of which one model or one correlation takes a single value."""
+OTHER = "other_id"  # Column of the second stimulus of a choice
+SPOKEN = ("stimulus", "item")  # Other names of the column `stimulus_id`
+ARMS = ("scale", "level")  # Columns of which one model or one correlation takes a single value
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)

@@ -26,12 +26,8 @@ if TYPE_CHECKING:
 DECLARED = "manifest.json"
 """File beside a manifest whose ``metrics`` say what the columns of metrics are."""
 
-TENTH = 0.1
-"""Step of a metric that is a share, such as a match from 0 to 1."""
-
-ROUNDING = 1e-9
-"""Share of a bound by which a value may pass it: files hold rounded numbers."""
-
+TENTH = 0.1  # Step of a metric that is a share, such as a match from 0 to 1
+ROUNDING = 1e-9  # Share of a bound by which a value may pass it: files hold rounded numbers
 KINDS: Mapping[str, tuple[str, str]] = {
     "rotation_mean": ("mean of the {} over random orientations of the sensor", ""),
     "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", ""),

@@ -16,12 +16,8 @@ from feel321.names import REDUCER_NAMES
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-NAMED = 3
-"""How many names a note lists before it only counts."""
-
-SHORT = 10
-"""Points below which a scale's highest rating makes one doubt that it went to 100."""
-
+NAMED = 3  # How many names a note lists before it only counts
+SHORT = 10  # Points below which a scale's highest rating makes one doubt that it went to 100
 SPACE = (
     "Where a map of the dissimilarities can be made, it is shown under The space of what was felt."
 )

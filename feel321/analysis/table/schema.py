@@ -22,9 +22,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
 
-LOWEST, HIGHEST = 0.0, 100.0
-"""The ends of every rating scale."""
-
+LOWEST, HIGHEST = 0.0, 100.0  # The ends of every rating scale
 LARGEST = 1e12
 """No metric is larger in size; squares of much larger numbers are no numbers any more."""
 
@@ -43,12 +41,8 @@ LABELS = (INTERACTION, SAMPLE)
 """What a recording is of, in the lab's words; maps of dissimilarities are made for each."""
 
 ROLES = ("test", "reference", "anchor")
-PAIR = "pair"
-"""Role of a stimulus that is rated against another one than the reference."""
-
-SURFACE = "surface"
-"""Reference of a judgement that compares with the real surface."""
-
+PAIR = "pair"  # Role of a stimulus that is rated against another one than the reference
+SURFACE = "surface"  # Reference of a judgement that compares with the real surface
 NAMING = ("recording", "reducer", "level")
 """Columns that together name a stimulus where there is no stimulus_id."""
 
@@ -104,9 +98,7 @@ NOT_METRICS = frozenset({
     *IDENTITY, *LABELS, "level", "role", "source", "file", "sha256", "recording_sha256"
 })  # fmt: skip
 
-MOSTLY = 0.5
-"""Share of a column's cells that are numbers where the column is meant to hold numbers."""
-
+MOSTLY = 0.5  # Share of a column's cells that are numbers where the column is meant to hold numbers
 FOREIGN = {
     b"\x1f\x8b": "a gzip file; unpack it first",
     b"PK\x03\x04": "an Excel or other zipped file; save the sheet as CSV (UTF-8)",
@@ -119,11 +111,8 @@ FOREIGN = {
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 CONTROL = r"[\x00-\x1f\x7f-\x9f\u2028\u2029]"
 
-LONGEST = 60
-"""Characters of a cell that a message shows."""
-
-BLAMED_LINES = 3
-"""How many line numbers a message names before it only counts."""
+LONGEST = 60  # Characters of a cell that a message shows
+BLAMED_LINES = 3  # How many line numbers a message names before it only counts
 
 
 class Kind(NamedTuple):

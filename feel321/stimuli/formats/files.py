@@ -37,8 +37,7 @@ Value = TypeVar("Value", float, str)
 ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
 """Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
 
-CHILD_S = 300.0
-"""So long may a MATLAB file take to be read."""
+CHILD_S = 300.0  # So long may a MATLAB file take to be read
 
 
 def read_npz(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
@@ -255,8 +254,7 @@ RATE = re.compile(rf"(?:{SENSOR}_?)?sampl(?:e|ing)_?(?:rate|frequency)")
 RATE_VALUE = re.compile(r"(\d+\.?\d*(?:e\+?\d+)?)\s*(k?)(?:hz)?", re.IGNORECASE | re.ASCII)
 
 MOST_TAGS = 10_000
-LARGER = 8
-"""So many tags may an XML file hold, and so many times its text takes in memory."""
+LARGER = 8  # So many tags may an XML file hold, and so many times its text takes in memory
 
 
 def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:

@@ -32,9 +32,7 @@ HDF5 = (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")
 WIDE_TEXT = (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff")
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 BINARY_SUFFIXES = (".wav", ".npz", ".npy", ".mat", ".ide")
-SUFFIXES = (*TABLE_SUFFIXES, ".xml", *BINARY_SUFFIXES)
-"""Every suffix that is read."""
-
+SUFFIXES = (*TABLE_SUFFIXES, ".xml", *BINARY_SUFFIXES)  # Every suffix that is read
 TEXT_CONTROLS = frozenset(b"\t\n\v\f\r")
 HEAD_BYTES = 4096
 
@@ -76,8 +74,7 @@ def _detect_text(path: Path, head: bytes) -> str:
     raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got {got}")
 
 
-SATURATED_SAMPLES = 3
-"""So many equal samples in a row at an axis's extreme count as saturated."""
+SATURATED_SAMPLES = 3  # So many equal samples in a row at an axis's extreme count as saturated
 
 
 def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
@@ -110,14 +107,9 @@ def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
     return tuple(findings)
 
 
-AGREEMENT = 0.01
-"""How far, relatively, two statements of one rate may differ."""
-
-JITTER_LIMIT = 0.01
-"""How far, in sampling periods, an interval may differ from the median interval."""
-
-SPLINE_POINTS = 4
-"""A cubic spline needs as many samples."""
+AGREEMENT = 0.01  # How far, relatively, two statements of one rate may differ
+JITTER_LIMIT = 0.01  # How far, in sampling periods, an interval may differ from the median interval
+SPLINE_POINTS = 4  # A cubic spline needs as many samples
 
 
 def settle_sampling(

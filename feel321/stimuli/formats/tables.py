@@ -252,14 +252,10 @@ def _with_units(labels: Sequence[str], axes: tuple[int, ...], time: int | None) 
     return Columns(axes, time, named.pop(), None if second is None else TIME_SPELLINGS[second])
 
 
-BLANKS = r"\s+"
-"""Stands for any run of blanks as the delimiter, as pandas spells it."""
-
+BLANKS = r"\s+"  # Stands for any run of blanks as the delimiter, as pandas spells it
 COMMENT_MARKS = "#%"
 
-HEAD_LINES = 50
-"""Within so many lines the numbers must begin."""
-
+HEAD_LINES = 50  # Within so many lines the numbers must begin
 MOST_COLUMNS = 1000
 
 

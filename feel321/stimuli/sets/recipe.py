@@ -98,9 +98,7 @@ FAINT = 0.1
 PRECEDENCE = 1000
 """A band with 1 % more energy than the quietest gets exp(-10) of its share; bands that differ by rounding share."""
 
-LOWEST_SHARE = 1e-30
-"""Bands with less of the energy are left out: 300 dB below the hum."""
-
+LOWEST_SHARE = 1e-30  # Bands with less of the energy are left out: 300 dB below the hum
 DRIFT_HZ = (3.0, 12.0)
 DRIFTS = 8
 """A hum's frequency drifts within its band by so many sinusoids, whose rates are drawn from this range."""
@@ -244,18 +242,14 @@ LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
 level, so that a rating cannot be one of strength."""
 
-ORIGINAL = "original"
-"""The reference that is the recording itself, on three channels."""
-
+ORIGINAL = "original"  # The reference that is the recording itself, on three channels
 NO_REFERENCE = "none"
 
 ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
 """Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for
 each recording with its reductions and reference, so that no spike of one recording weakens the others."""
 
-RIG_RATES_HZ = (2000, 384_000)
-"""Rates at which 1000 Hz can be played and sound devices run."""
-
+RIG_RATES_HZ = (2000, 384_000)  # Rates at which 1000 Hz can be played and sound devices run
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
