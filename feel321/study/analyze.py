@@ -68,7 +68,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             said = f"{study.settings.name} declares {', '.join(chosen.metrics)}."
             note = f"Metrics {', '.join(asked)} were asked for with this analysis; {said}"
             further = replace(further, notes=(*further.notes, note))
-        further = replace(further, labels=list_labels(settings))
         own = not (ratings or manifest)
         standing = make_standing(study, settings, metrics=asked, draws=draws, own=own)
         protocols = tuple(settings.session.protocols)
@@ -160,15 +159,6 @@ def _write_dictionary(study: StudyFolder, settings: Settings) -> None:
     groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
     rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
     write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
-
-
-def list_labels(settings: Settings) -> pd.DataFrame:
-    """List what each recording is of, where that is said: columns interaction and sample, by recording."""
-    said = {
-        one.title: {"interaction": one.interaction, "sample": one.sample}
-        for one in settings.recordings
-    }
-    return pd.DataFrame.from_dict(said, orient="index").dropna(axis=1, how="all")
 
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis import maps, words
+from feel321.analysis import space, words
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.contrasts.compare import fit_reducers
 from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
@@ -169,19 +169,17 @@ def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> Clai
 
     The interval holds the middle 90 % of permutations: it excludes zero where p (one-sided) is below 0.05.
     """
-    attribute = str(claim.options.get("attribute", maps.DIRECTIONS))
+    attribute = str(claim.options.get("attribute", space.DIRECTIONS))
     rows = table.rows[table.rows["scale"] == PAIRED]
     if rows.empty:
         raise ValueError(f'no dissimilarity was rated; name options.scale = "{PAIRED}"')
     rng = choices.make_rng("lee", claim.name)
-    whole = maps.map_all(rows, rng=rng)
-    points = maps.gather_points(rows, table.stimuli, whole, rng=rng)
-    check_name(attribute, sorted(points.attributes), "attribute")
-    draws = min(choices.draws, 1000)
-    (row,) = maps.regress_points(points.select(attribute), draws=draws, rng=rng)
+    places, found = space.gather_points(rows, table.stimuli, rng=rng)
+    own = {attribute: found[check_name(attribute, sorted(found), "attribute")]}
+    (row,) = space.regress_points(places, own, draws=min(choices.draws, 1000), rng=rng)
     if row["p_least"] >= LIMIT:
         raise ValueError(
-            f"permutations of {len(points.stimuli)} stimuli give no p below {row['p_least']:.2f} for {attribute}"
+            f"permutations of {places.shape[1]} stimuli give no p below {row['p_least']:.2f} for {attribute}"
         )
     return ClaimValue(
         row["r2"] - row["chance"], row["r2"] - row["chance_high"], row["r2"] - row["chance_low"], "correlation",

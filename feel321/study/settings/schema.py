@@ -346,7 +346,6 @@ class RecordingTable(kinds.TomlTable):
     file: kinds.Words | None = None
     files: kinds.Words | None = None
     sample: kinds.Words | None = None
-    interaction: kinds.Words | None = None
     picture: kinds.Words | None = None
     rotation: kinds.Seed | None = None
     rate_hz: kinds.Rate | None = None
