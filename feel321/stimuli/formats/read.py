@@ -43,35 +43,31 @@ def detect_format(path: Path) -> str:
         head = file.read(HEAD_BYTES)
     if not head:
         raise ValueError("the file is empty (0 bytes); copy or export it again")
-    for magic, name in MAGIC.items():
-        if head.startswith(magic):
-            return name
     if head.startswith(HDF5):
-        raise ValueError(
-            "MATLAB 7.3 and HDF5 files are not read; save it as an older MAT-file with save(..., '-v7')"
-        )
+        how = "save it as an older MAT-file with save(..., '-v7')"
+        raise ValueError(f"MATLAB 7.3 and HDF5 files are not read; {how}")
     if head.startswith(WIDE_TEXT):
         raise ValueError("the text is in UTF-16 or UTF-32; save the file as UTF-8")
-    return _detect_text(path, head)
+    name = next((name for magic, name in MAGIC.items() if head.startswith(magic)), "")
+    return name or _detect_text(path, head)
 
 
 def _detect_text(path: Path, head: bytes) -> str:
     suffix = path.suffix.lower()
-    is_text = all(byte >= ord(" ") or byte in TEXT_CONTROLS for byte in head)
-    if suffix == ".mat" and not is_text:
-        return "mat"  # version 4 has no first bytes of its own
-    if is_text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
+    if not all(byte >= ord(" ") or byte in TEXT_CONTROLS for byte in head):
+        if suffix == ".mat":
+            return "mat"  # version 4 has no first bytes of its own
+        got = f"binary data of no known format ({suffix!r})"
+        raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got {got}")
+    if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return "hatt"
-    if is_text and files.is_lmt(path):
+    if files.is_lmt(path):
         return "lmt"
-    if is_text and suffix in TABLE_SUFFIXES:
+    if suffix in TABLE_SUFFIXES:
         return "table"
-    if is_text and suffix in SUFFIXES:
-        raise ValueError(
-            f"a {suffix} file must not hold text; rename it to .csv if it is a table, or export it again"
-        )
-    got = f"the suffix {suffix!r}" if is_text else f"binary data of no known format ({suffix!r})"
-    raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got {got}")
+    if suffix in SUFFIXES:
+        raise ValueError(f"a {suffix} file must not hold text; rename it to .csv if it is a table")
+    raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got the suffix {suffix!r}")
 
 
 SATURATED_SAMPLES = 3  # So many equal samples in a row at an axis's extreme count as saturated
@@ -88,22 +84,19 @@ def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
     for name, axis in zip("xyz", acceleration, strict=True):
         start = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1])
         length, value = np.diff(np.append(start, axis.size)), axis[start]
-        if len(start) == 1:
-            if axis.size > 1:
-                constant = f"{value[0]:.6g} m/s^2 in all {axis.size} samples"
-                findings.append(f"axis {name}: flat, {constant}")
-            continue
+        if len(start) == 1 and axis.size > 1:
+            findings.append(f"axis {name}: flat, {value[0]:.6g} m/s^2 in all {axis.size} samples")
         jumps = np.abs(np.diff(value))
         jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
-        for extreme in (value.min(), value.max()):
+        for extreme in dict.fromkeys([value.min(), value.max()]) if len(start) > 1 else ():
             hit = (value == extreme) & (length >= SATURATED_SAMPLES)
             if hit.any():  # sorting takes long
                 hit &= jump > 2 * np.diff(np.unique(value)).min()
             if hit.any():
-                findings.append(
-                    f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
-                    f"({length[hit].sum()} samples), the first at {start[hit][0] / rate_hz:.6g} s"
-                )
+                runs = f"{hit.sum()} runs ({length[hit].sum()} samples)"
+                where = f"the first at {start[hit][0] / rate_hz:.6g} s"
+                at = f"axis {name}: saturated at {extreme:.6g} m/s^2"
+                findings.append(f"{at} in {runs}, {where}")
     return tuple(findings)
 
 
@@ -132,44 +125,38 @@ def settle_sampling(
         note = f"time stamps show steps of {steps}: finer jitter cannot be seen"
         return decoded.acceleration, rate_hz, (note,) if share > JITTER_LIMIT else ()
     if not request.resample:
-        raise ValueError(
-            f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}; "
-            "resample=True (command line: --resample) interpolates to an even rate"
-        )
+        must = f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}"
+        how = "resample=True (command line: --resample) interpolates to an even rate"
+        raise ValueError(f"{must}; {how}")
     even, rate_hz = _resample(decoded.acceleration, time_s)
     _agree(stated, rate_hz, who="the time stamps")
-    note = f"resampled on request to {even.shape[1]} samples at {rate_hz:.6g} Hz by cubic spline: {finding}"
-    return even, rate_hz, (note,)
+    made = f"{even.shape[1]} samples at {rate_hz:.6g} Hz by cubic spline"
+    return even, rate_hz, (f"resampled on request to {made}: {finding}",)
 
 
 def _agree(stated: float | None, own: float | None, *, who: str) -> float | None:
     if stated is None or own is None:
         return stated or own
     if abs(stated / check_rate(own) - 1) > AGREEMENT:
-        raise ValueError(
-            f"the rate is {stated:g} Hz, but {own:g} Hz by {who}; they may differ by {AGREEMENT:.0%}"
-        )
+        most = f"they may differ by {AGREEMENT:.0%}"
+        raise ValueError(f"the rate is {stated:g} Hz, but {own:g} Hz by {who}; {most}")
     return stated
 
 
 def _check_stamps(decoded: Decoded, time_s: Samples) -> Samples:
     n_samples = decoded.acceleration.shape[1]
     if time_s.shape != (n_samples,):
-        raise ValueError(
-            f"there must be one time stamp per sample, got {time_s.size} for {n_samples} samples"
-        )
+        got = f"got {time_s.size} for {n_samples} samples"
+        raise ValueError(f"there must be one time stamp per sample, {got}")
     if n_samples < 2:  # noqa: PLR2004 - an interval has two ends
-        raise ValueError(
-            f"there must be 2 time stamps or more, which give the rate; got {n_samples}"
-        )
+        raise ValueError(f"there must be 2 time stamps or more, for a rate; got {n_samples}")
     rising = np.diff(time_s) > 0  # false for NaN too
     if not rising.all():
         i = int(np.argmin(rising)) + 1
         place = f"sample {i}" if decoded.first_line is None else f"line {decoded.first_line + i}"
-        raise ValueError(
-            f"time stamps must increase, got {time_s[i]:.9g} after {time_s[i - 1]:.9g} s at {place}; "
-            "correct them, or leave the time column out and give rate_hz"
-        )
+        got = f"got {time_s[i]:.9g} after {time_s[i - 1]:.9g} s at {place}"
+        how = "correct them, or leave the time column out and give rate_hz"
+        raise ValueError(f"time stamps must increase, {got}; {how}")
     return time_s
 
 
@@ -183,11 +170,10 @@ def _find_jitter(time_s: Samples, step_s: float) -> str:
     irregular = np.flatnonzero(jitter > JITTER_LIMIT * period + 1.001 * rounding)
     if not irregular.size:
         return ""
-    return (
-        f"jitter up to {float(jitter.max()) / period:.1%} of the {period * 1e3:.6g} ms period, "
-        f"{irregular.size} of {intervals.size} intervals off, the first at {time_s[irregular[0]]:.6f} s, "
-        f"the longest {intervals.max() * 1e3:.6g} ms"
-    )
+    most = f"jitter up to {float(jitter.max()) / period:.1%} of the {period * 1e3:.6g} ms period"
+    off = f"{irregular.size} of {intervals.size} intervals off"
+    first = f"the first at {time_s[irregular[0]]:.6f} s"
+    return f"{most}, {off}, {first}, the longest {intervals.max() * 1e3:.6g} ms"
 
 
 def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
