@@ -170,7 +170,7 @@ def gather_dissimilarities(ratings: Table | DataFrame) -> tuple[tuple[str, ...],
     rows = rows[(rows["scale"] == PAIRED) & (rows["reference_reducer"] != "")]
     rows = rows[rows["reducer"] != rows["reference_reducer"]]
     if rows.empty:
-        raise ValueError("No judgement names stimuli of two reducers (stimulus_id, reference_id).")
+        raise ValueError("No judgement names two stimuli of different reducers (reference_id).")
     back = rows.rename(columns={"reducer": "reference_reducer", "reference_reducer": "reducer"})
     keys = ["participant", "reducer", "reference_reducer"]
     both = pd.concat([rows, back])

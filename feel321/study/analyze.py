@@ -12,7 +12,6 @@ import pandas as pd
 from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
-from feel321.analysis.screening.screen import find_rules
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.metrics import make_info
@@ -85,7 +84,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             margin=chosen.margin,
             metrics=metrics or chosen.metrics,
             further=further,
-            rules=find_rules(chosen.screening, study.path),
             about=about,
             sources=list_origins(settings) if settings else {},
             info=list_info(settings) if settings else {},

@@ -146,13 +146,10 @@ def check_study(
 
 
 def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
-    from feel321.analysis.screening.screen import find_rules, make_rule
+    """Check the form of the lab's own reducers and metrics, as far as that is quick."""
     from feel321.stimuli.conform import check_method
 
     methods = list_methods(settings, study.path)
-    for rule in find_rules(settings.analysis.screening, study.path):
-        make_rule(rule)
     return [
         f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
         for one in methods

@@ -18,8 +18,11 @@ from feel321.analysis.space import (
     refit_space,
     regress_points,
 )  # fmt: skip
-from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import read_table
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from feel321.analysis.table.items import Table
 
 
 def apart(place: np.ndarray) -> np.ndarray:

@@ -21,14 +21,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from feel321.analysis.arrays import FLAT, read_numbers
+from feel321.analysis.arrays import FLAT, check_columns, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS
-from feel321.analysis.table.schema import HIGHEST, LOWEST, NAMING
+from feel321.analysis.table.items import STIMULUS
+from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.doors import check_name
 from feel321.protocols.tasks import PROTOCOLS
 
@@ -70,9 +71,8 @@ def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
     """Medians of the lower and the upper half; for odd n the median belongs to both."""
     ordered = np.sort(read_numbers(values, what="values").ravel())
     if not len(ordered) or not np.isfinite(ordered).all():
-        raise ValueError(
-            f"values must be one or more finite numbers, got {len(ordered)}, not all finite"
-        )
+        got = f"got {len(ordered)}, not all finite"
+        raise ValueError(f"values must be one or more finite numbers, {got}")
     half = (len(ordered) + 1) // 2
     return float(np.median(ordered[:half])), float(np.median(ordered[-half:]))
 
@@ -122,12 +122,11 @@ def multimodality(values: ArrayLike) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgements:
-    """Ratings with what a rule needs to know of each; items: names of the items by number; given: the table."""
+    """Ratings with what a rule needs to know of each; items: names of the items by number."""
 
     rows: DataFrame
     participants: Index
     items: Series
-    given: DataFrame
     notes: tuple[str, ...] = ()
 
     def of_protocols(self, names: Sequence[str]) -> Judgements:
@@ -166,67 +165,47 @@ class Judgements:
 
 def key_stimulus(ratings: DataFrame) -> list[str]:
     """List the columns that together name what was judged against what; the level too, where there are several."""
-    named = (
-        ["stimulus_id"] if "stimulus_id" in ratings else [one for one in NAMING if one in ratings]
-    )
-    arms = ["level"] if "level" in ratings and len(ratings["level"].unique()) > 1 else []
-    reference = ["reference_id"] if "reference_id" in ratings else []
-    return list(dict.fromkeys([*named, *arms, *reference]))
+    several = "level" in ratings and len(ratings["level"].unique()) > 1
+    return [STIMULUS, *["level"] * several, *["reference_id"] * ("reference_id" in ratings)]
 
 
 def make_judgements(ratings: DataFrame, *, assumed: str = "") -> Judgements:
     """Prepare a tidy table; ratings that name no protocol are taken to be of the one assumed, if any."""
-    _check_ratings(ratings)
+    check_columns(ratings, ["participant", "rating", STIMULUS], "ratings")
+    if ratings.empty:
+        raise ValueError("ratings must hold a row per judgement, got no row")
+    for name in ("participant", STIMULUS):
+        if nameless := int(ratings[name].isna().sum()):
+            got = f"got {nameless} rows without a {name}; name it or leave them out"
+            raise ValueError(f"ratings must all be named, {got}")
+    values = ratings["rating"].to_numpy(np.float64)
+    bad = values[~((values >= LOWEST) & (values <= HIGHEST))]
+    if len(bad):
+        got = f"got {len(bad)} ratings such as {bad[0]:g}; leave others out"
+        raise ValueError(f"ratings must lie between 0 and 100, {got}")
     if "repeat" in ratings:
         # As text 10 comes before 2; what is no number keeps its place in the table, behind all numbers.
-        ratings = ratings.sort_values(
-            "repeat", kind="stable", key=lambda turns: pd.to_numeric(turns, errors="coerce")
-        )
-    naming = key_stimulus(ratings)
+        turns = pd.to_numeric(ratings["repeat"], errors="coerce")
+        ratings = ratings.loc[turns.sort_values(kind="stable").index]
+    naming, scale = key_stimulus(ratings), [name for name in ("scale",) if name in ratings]
     excerpt = [name for name in ("scale", "recording", "level") if name in ratings] or naming
-    item = ["scale", *naming] if "scale" in ratings else naming
+    item = [*scale, *naming]
     excerpts, items = (
         ratings.groupby(keys, observed=True, dropna=False).ngroup().to_numpy()
         for keys in (excerpt, item)
     )
     protocols, notes = _find_protocols(ratings, assumed)
+    times = ratings.get("response_time_s", pd.Series(np.nan, ratings.index))
     rows = pd.DataFrame({
         "participant": ratings["participant"].to_numpy(), "item": items, "excerpt": excerpts,
         "kind": _find_kinds(ratings), "protocol": protocols, "step": _find_steps(ratings),
-        "rating": ratings["rating"].to_numpy(np.float64),
-        "time": ratings.get("response_time_s", pd.Series(np.nan, ratings.index)).to_numpy(np.float64),
+        "rating": ratings["rating"].to_numpy(np.float64), "time": times.to_numpy(np.float64),
     })  # fmt: skip
     # Numbers and words cannot be compared with each other; each kind keeps its own order.
     everyone = sorted(rows["participant"].unique(), key=lambda name: (isinstance(name, str), name))
     names = ratings[item].assign(number=items).drop_duplicates("number").set_index("number")
     labels = names.astype(str).agg("/".join, axis=1)
-    return Judgements(rows, pd.Index(everyone, name="participant"), labels, ratings, notes)
-
-
-def _check_ratings(ratings: DataFrame) -> None:
-    named = (
-        ["stimulus_id"] if "stimulus_id" in ratings else [one for one in NAMING if one in ratings]
-    )
-    needed = ("participant", "rating", *(named or ["stimulus_id"]))
-    missing = ", ".join(name for name in needed if name not in ratings)
-    if missing:
-        raise ValueError(
-            f"ratings: column {missing} is missing, a table must have {', '.join(needed)}; got "
-            f"{', '.join(map(str, ratings.columns))}"
-        )
-    if ratings.empty:
-        raise ValueError("ratings must hold a row per judgement, got no row")
-    for name in ("participant", *named):
-        if nameless := int(ratings[name].isna().sum()):
-            raise ValueError(
-                f"ratings must all be named, got {nameless} rows without a {name}; name it or leave them out"
-            )
-    values = ratings["rating"].to_numpy(np.float64)
-    bad = values[~((values >= LOWEST) & (values <= HIGHEST))]
-    if len(bad):
-        raise ValueError(
-            f"ratings must lie between 0 and 100, got {len(bad)} ratings such as {bad[0]:g}; leave others out"
-        )
+    return Judgements(rows, pd.Index(everyone, name="participant"), labels, notes)
 
 
 def _find_kinds(ratings: DataFrame) -> NDArray[np.object_]:
@@ -234,7 +213,7 @@ def _find_kinds(ratings: DataFrame) -> NDArray[np.object_]:
         return np.full(len(ratings), "test", dtype=object)
     # A pair of two test stimuli is a judgement like any other of test stimuli.
     kinds = ratings["role"].replace({"pair": "test"}).to_numpy(dtype=object, copy=True)
-    names = ratings["reducer"] if "reducer" in ratings else ratings["stimulus_id"]
+    names = ratings["reducer"] if "reducer" in ratings else ratings[STIMULUS]
     anchored = ratings["role"].eq("anchor").to_numpy()
     for kind in ANCHORS:
         kinds[anchored & names.astype(str).str.contains(kind, case=False).to_numpy()] = kind
@@ -248,18 +227,17 @@ def _find_protocols(
     of_scale = {protocol.scale: name for name, protocol in PROTOCOLS.items()}
     given = scales = np.full(len(ratings), "", dtype=object)
     if "protocol" in ratings:
-        column = ratings["protocol"].astype(object)
-        given = column.where(column.notna(), "").astype(str).to_numpy(object)
+        given = ratings["protocol"].astype(object).fillna("").astype(str).to_numpy(object)
     if "scale" in ratings:
         scales = ratings["scale"].astype(str).map(of_scale).fillna("").to_numpy(object)
     by_scale, unknown = (given == "") & (scales != ""), (given == "") & (scales == "")
-    notes = []
+    lead, notes = "No protocol is given for", []
     if by_scale.any():
         names = f"assumed from their scale ({', '.join(sorted(set(scales[by_scale])))})"
-        notes.append(f"No protocol is given for {by_scale.sum()} ratings: {names}.")
+        notes.append(f"{lead} {by_scale.sum()} ratings: {names}.")
     if unknown.any() and assumed:
         sight = f"assumed {assumed}, with a reference in sight"
-        notes.append(f"No protocol is given for {unknown.sum()} ratings: {sight}.")
+        notes.append(f"{lead} {unknown.sum()} ratings: {sight}.")
     return np.where(by_scale, scales, np.where(unknown, assumed, given)), tuple(notes)
 
 
@@ -332,17 +310,13 @@ def _reversed_scale(judgements: Judgements, limit: float) -> DataFrame:
     means = judgements.means()
     n_others = (means.notna().sum() - means.notna()).replace(0, np.nan)
     others = ((means.sum() - means.fillna(0.0)) / n_others).where(means.notna())
-    n = others.notna().sum(axis=1)
-
-    def correlate(who: Any) -> float:  # noqa: ANN401 - a participant may be named by anything
-        one, two = (frame.loc[who].to_numpy(np.float64) for frame in (means, others))
+    n, found = others.notna().sum(axis=1), []
+    for one, two in zip(means.to_numpy(), others.to_numpy(np.float64), strict=True):
         both = np.isfinite(one) & np.isfinite(two)
-        if both.sum() < FEWEST_ITEMS or 0 in {np.ptp(one[both]), np.ptp(two[both])}:
-            return float("nan")
-        return float(np.corrcoef(one[both], two[both])[0, 1])
-
-    r = pd.Series({who: correlate(who) for who in means.index}).reindex(means.index)
-    return compare_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=limit, below=True)
+        few = both.sum() < FEWEST_JUDGEMENTS or 0 in {np.ptp(one[both]), np.ptp(two[both])}
+        found.append(np.nan if few else float(np.corrcoef(one[both], two[both])[0, 1]))
+    r = pd.Series(found, means.index, dtype=np.float64)
+    return compare_values(n, n, r, limit=limit, below=True)
 
 
 def _straight_lining(judgements: Judgements, limit: float) -> DataFrame:
@@ -424,7 +398,7 @@ def gauge_raters(
     ]
     between = [_mean_squares(item, rating[None])[1][0] for _, item, rating in people]
     panel_square = float(np.nanmean(between)) if np.isfinite(between).any() else float("nan")
-    rows: list[dict[str, object]] = []
+    rows: list[list[object]] = []
     for participant, item, rating in people:
         shuffled = rng.permuted(np.broadcast_to(rating, (permutations, len(rating))), axis=1)
         averages, square, within = _mean_squares(item, np.vstack([rating, shuffled]))
@@ -433,12 +407,11 @@ def gauge_raters(
             measured = square / within, panel_square / within, _agree(averages, others)
         for name, values in zip(MEASURES, measured, strict=True):
             value, null = float(values[0]), values[1:][~np.isnan(values[1:])]
-            floor = p = float("nan")
+            told: list[object] = [participant, name, value, np.nan, np.nan]
             if not np.isnan(value) and len(null):
-                floor = float(np.quantile(null, FLOOR, method="higher"))
-                p = (1 + int((null >= value).sum())) / (1 + len(null))
-            told = (participant, name, value, floor, p)
-            rows.append(dict(zip(GAUGED, told, strict=True)))
+                told[3] = float(np.quantile(null, FLOOR, method="higher"))
+                told[4] = (1 + int((null >= value).sum())) / (1 + len(null))
+            rows.append(told)
     return pd.DataFrame(rows, columns=GAUGED)
 
 
@@ -560,15 +533,10 @@ def choose_limits(
     for name in wanted:
         check_name(name, RULES, "rules")
     if EXPERTISE in wanted and not random:
-        raise ValueError(
-            f"rules must go without {EXPERTISE!r}, or with rng for its permutations; got it without rng"
-        )
+        raise ValueError(f"rules must go without {EXPERTISE!r}, or with rng for its permutations")
     own = dict(rules) if isinstance(rules, Mapping) else {}
     for name, limit in own.items():
         if not -1 <= limit <= 1:
-            raise ValueError(
-                f"rules must have limits from -1 to 1, a share, not per cent; got the limit {limit} for {name!r}"
-            )
-    return {
-        name: float(own.get(name, rule.limit)) for name, rule in RULES.items() if name in wanted
-    }
+            got = f"got the limit {limit} for {name!r}"
+            raise ValueError(f"rules must have limits from -1 to 1, a share, not per cent; {got}")
+    return {name: float(own.get(name, RULES[name].limit)) for name in RULES if name in wanted}

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from feel321 import intake
-from feel321.doors import as_path, check_finite, check_rate, describe
-from feel321.extensions import Method, call, find_method, list_entry_points
+from feel321.doors import as_path, check_finite, check_rate
 from feel321.files import file_named
 from feel321.stimuli.formats import files
 from feel321.stimuli.formats.tables import Decoded, ReadingOptions, parse_unit, read_table
@@ -268,8 +267,6 @@ def read_recording(
     """
     source = as_path(path)
     request = ReadingOptions(rate_hz, unit, columns, full_scale, resample)
-    if source.suffix.lower() not in SUFFIXES and (own := find_format(source)):
-        return read_own(own, source)
     with file_named(source):
         decoded = _decode(source, request)
         unit_found, unit_notes = settle_unit(decoded.unit, unit)
@@ -344,28 +341,6 @@ def read_recordings(
     if problems:
         raise ValueError("\n".join(problems))
     return list(read.values())
-
-
-def find_format(
-    path: Path, *, folder: Path | None = None, declared: Mapping[str, str] | None = None
-) -> Method | None:
-    """Find the reader of a file's suffix, among those of a study and the entry points of `feel321.formats`."""
-    suffix = path.suffix.lower().removeprefix(".")
-    if suffix in (declared or {}):
-        return find_method("format", (declared or {})[suffix], folder=folder)
-    return find_method("format", suffix) if suffix in list_entry_points("format") else None
-
-
-def read_own(method: Method, path: Path) -> Recording:
-    """Read a file by a lab's reader; the digest is that of the file and the reader."""
-    content = intake.read_bytes(path)
-    found = call(method, method.load(), path, doing=f"given {path.name}")
-    if not isinstance(found, Recording):
-        raise TypeError(
-            f"{path.name}: {method} must return a feel321.stimuli.Recording, got {describe(found)}"
-        )
-    digest = hashlib.sha256(content + method.sha256.encode()).hexdigest()
-    return replace(found, name=found.name or path.stem, sha256=digest)
 
 
 def _decode(path: Path, request: ReadingOptions) -> Decoded:
