@@ -9,7 +9,7 @@ from shlex import quote
 
 import pandas as pd
 
-from feel321.analysis.replication.claims import Paper, PaperClaim
+from feel321.analysis.replication import Paper, PaperClaim
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary

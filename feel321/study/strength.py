@@ -1,6 +1,6 @@
 """How strong the stimuli of a study are as its rig plays them: clipped, below threshold, or within reach.
 
-Everything here works on what a build would make (`feel321.stimuli.sets.build.foresee_stimuli`),
+Everything here works on what a build would make (`feel321.stimuli.sets.build.place_surveyed`),
 whether it was made yet or not.
 """
 

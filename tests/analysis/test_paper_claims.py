@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from feel321.analysis.replication import measures
-from feel321.analysis.replication.claims import ClaimValue, PaperClaim, describe_nearest, judge
+from feel321.analysis.replication import ClaimValue, PaperClaim, describe_nearest, judge, measures
 from feel321.names import MEASURES
 
 CLAIM = PaperClaim("one", "It is so", "ours", "slope")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -19,7 +20,6 @@ from feel321.analysis.space import (
     regress_points,
 )  # fmt: skip
 from feel321.analysis.table.reading import read_table
-from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from feel321.analysis.table.items import Table

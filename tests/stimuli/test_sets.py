@@ -16,7 +16,15 @@ import pytest
 from feel321.files import hold_lock, write_bytes
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.build import BUILT, PARTS, build_stimuli, foresee_stimuli
+from feel321.stimuli.sets.build import (
+    BUILT,
+    PARTS,
+    Foreseen,
+    build_stimuli,
+    place_surveyed,
+    read_history,
+    survey_recording,
+)  # fmt: skip
 from feel321.stimuli.sets.manifest import COLUMN_UNITS, Stimulus, check_stimuli, read_stimuli
 from feel321.stimuli.sets.recipe import ANCHORS, GAINS, Recipe
 from feel321.stimuli.sets.render import Draft, Measured, choose_gains, find_headroom_cost
@@ -35,6 +43,12 @@ CONTRACT = [
     "spectral_match_bounded", "sensation_level_db", "temporal_match_windowed", "band_high_hz",
 ]  # fmt: skip
 BOTH = ("as_is", "equal_intensity")
+
+
+def foresee_stimuli(recordings: list[Recording], folder: Path, *, recipe: Recipe) -> list[Foreseen]:
+    known = read_history(folder)
+    facts = [survey_recording(one, known.get(one.name, ()), recipe=recipe) for one in recordings]
+    return [one for own in place_surveyed(facts, recipe).values() for one in own]
 
 
 @pytest.fixture(scope="module")

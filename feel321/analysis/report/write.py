@@ -32,7 +32,7 @@ from feel321.types import MetricInfo, PathLike, Progress, Rng
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.replication.claims import Paper
+    from feel321.analysis.replication import Paper
 
 SCHEMA_VERSION = 2
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""

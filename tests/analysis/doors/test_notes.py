@@ -13,7 +13,7 @@ from feel321.analysis.association.correlate import correlate
 from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.metrics import describe_further, describe_manifest
 from feel321.analysis.table.reading import ROSTER, read_table
-from feel321.analysis.table.schema import LABELS, RATINGS
+from feel321.analysis.table.schema import RATINGS
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.settings.read import list_origins, read_settings
@@ -112,7 +112,7 @@ def test_ways_of_writing_the_same_table(
 def test_the_schema_knows_every_column_that_feel321_writes() -> None:
     further = describe_further()
     assert list(RATINGS) == [name for name in RATING_COLUMNS if name not in further]
-    assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *LABELS, *describe_further()}
+    assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *describe_further()}
     assert {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS} == ROSTER | {"participant"}
 
 
