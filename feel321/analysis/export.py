@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.primary import rcode
 from feel321.analysis.primary.model import Slopes, fit_slopes
@@ -69,9 +69,8 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
     script = place / SCRIPT
     is_ours = script.is_file() and script.read_bytes().startswith(FIRST.encode())
     if place.is_file() or (place.is_dir() and any(place.iterdir()) and not is_ours):
-        raise FileExistsError(
-            f"{place}: holds files that are not of an earlier export, or is one; give a new or empty folder"
-        )
+        why = "holds files that are not of an earlier export, or is one"
+        raise FileExistsError(f"{place}: {why}; give a new or empty folder")
     names: dict[str, str] = {}
     for metric in table.metrics:
         taken = {*RESERVED, *(f"{own}{end}" for own in names.values() for end in PARTS)}
@@ -86,19 +85,16 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
     for file, frame in frames.items():
         for name in frame.select_dtypes(exclude=["number", "bool"]):
             if (frame[name] == MISSING).any():
-                raise ValueError(
-                    f"{file}: {name} must not be '{MISSING}', which R reads as a missing value; give it another name"
-                )
+                why = "which R reads as a missing value; give it another name"
+                raise ValueError(f"{file}: {name} must not be '{MISSING}', {why}")
     known = {names[key]: table.info[key] for key in names if key in table.info}
     frames[DICTIONARY] = make_dictionary(frames, known)
     make_folder(place)
     write_text(script, write_script(models, names))  # first: the folder is ours from here on
     (place / SLOPES_R).unlink(missing_ok=True)
+    form: Any = {"na_rep": MISSING, "float_format": "%.12g", "lineterminator": "\n"}
     for name, frame in frames.items():
-        text = write_flags(frame).to_csv(
-            index=False, na_rep=MISSING, float_format="%.12g", lineterminator="\n"
-        )
-        write_text(place / name, text)
+        write_text(place / name, write_flags(frame).to_csv(index=False, **form))
     return place
 
 
