@@ -146,10 +146,7 @@ def answer_claims(table: Table, paper: Paper, choices: Choices) -> Iterator[Pape
 
 
 def narrow(table: Table, claim: PaperClaim) -> Table:
-    """Select the ratings that a claim is about: scale and level of its options, or the first scale, as it is.
-
-    Dissimilarities are those between all stimuli where the options name them, and else similarities to the original.
-    """
+    """Select the ratings that a claim is about: scale and level of its options, or the first scale, as it is."""
     if claim.options.get("scale") == PAIRED:
         levels = sorted(table.rows.loc[table.rows["scale"] == PAIRED, "level"].unique())
         usual = USUAL_LEVEL if USUAL_LEVEL in levels else next(iter(levels), None)
@@ -354,10 +351,7 @@ def note_lacking(claim: PaperClaim, names: Iterable[object]) -> str:
 
 
 def measure_told_apart(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
-    """Take the reducer that is least clearly told from the original; option: reducer, for one alone.
-
-    That all are told apart is shown where this one is, so that no adjustment for their number is needed.
-    """
+    """Take the reducer least clearly told from the original: where it is, all are; option: reducer, for one."""
     found = compare_with_original(table.rows)
     single = found[found["reducer"] != EVERY].set_index("reducer")
     if reducer := claim.options.get("reducer"):
@@ -374,10 +368,7 @@ def measure_told_apart(table: Table, claim: PaperClaim, choices: Choices) -> Cla
 
 
 def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:
-    """Take R² of an attribute on the axes of the maps, above that of permuted stimuli; option: attribute.
-
-    The interval holds the middle 90 % of permutations: it excludes zero where p (one-sided) is below 0.05.
-    """
+    """Take R² of an attribute on the axes of the maps, above that of permuted stimuli; option: attribute."""
     attribute = str(claim.options.get("attribute", space.DIRECTIONS))
     rows = table.rows[table.rows["scale"] == PAIRED]
     if rows.empty:

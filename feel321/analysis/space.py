@@ -253,22 +253,10 @@ def align_spaces(
 ) -> Statistic:
     """Compare a map with a physical configuration of the same stimuli, both (stimuli, dimensions) or maps.
 
-    Gives ``disparity``, Procrustes' m²: the share of the reference's variance not met, ``correlation`` √(1 - m²),
-    ``p``, the share of random pairings of stimuli that agree as well or better, ``aligned``, the map fitted to the
-    reference and in its unit, and ``permutations``.
-
-    Notes
-    -----
-    m² = 1 - (Σ σ)², σ the singular values of AᵀB, both centred and of unit size; of fewer dimensions, one is filled
-    with zeros. m² is small for few stimuli even by chance; only the permutation test (PROTEST) says whether it is
-    smaller than that (Gower 1975, doi 10.1007/BF02291478; Peres-Neto & Jackson 2001, doi 10.1007/s004420100720).
-
-    Examples
-    --------
-    >>> places = np.random.default_rng(1).normal(size=(8, 2))
-    >>> result = align_spaces(places, 3 * places[:, ::-1] + 7)
-    >>> round(result.correlation, 6), result.p < 0.01
-    (1.0, True)
+    Gives ``disparity``, Procrustes' m² = 1 - (Σ σ)², σ the singular values of AᵀB, both centred and of unit size: the
+    share of the reference's variance not met; ``correlation`` √(1 - m²); ``p``, the share of random pairings of stimuli
+    that agree as well or better (PROTEST: Peres-Neto & Jackson 2001, doi 10.1007/s004420100720); ``aligned``, the map
+    fitted to the reference and in its unit.
     """
     if permutations < 1:
         raise ValueError(f"permutations must be 1 or more, got {permutations}; use 2000")

@@ -167,17 +167,7 @@ def discriminate_pairs(trials: DataFrame) -> dict[tuple[str, str] | None, Statis
 
 
 def abx_d_prime(share: float, *, model: str = "independent") -> float:
-    """Find d' at which an unbiased observer reaches a share correct in ABX trials; 0 for .5 or less, infinity for 1.
-
-    Examples
-    --------
-    An observer with hits .75 and false alarms .3, freed of bias:
-
-    >>> from scipy.stats import norm
-    >>> unbiased = norm.cdf((norm.ppf(0.75) - norm.ppf(0.3)) / 2)
-    >>> round(abx_d_prime(unbiased), 2), round(abx_d_prime(unbiased, model="differencing"), 2)
-    (1.66, 1.87)
-    """
+    """Find d' at which an unbiased observer reaches a share correct in ABX trials; 0 for .5 or less, infinity for 1."""
     from scipy.optimize import brentq
     from scipy.stats import norm
 

@@ -207,11 +207,7 @@ def _read(ratings: Table | DataFrame | ArrayLike, scale: str | None, level: str 
 
 
 def _project(votes: _Votes) -> tuple[Values, Values, Values, int, list[str]]:
-    """Estimate qualities, biases and inconsistencies; with equal weights, and a note, where one rater alone counts.
-
-    The likelihood has no maximum: it grows without bound as the qualities become one rater's own ratings. With many
-    raters the projections settle at the maximum that is meant; with few they may run away to one of them.
-    """
+    """Estimate all; with equal weights, and a note, where one rater alone counts and the likelihood is unbounded."""
     found = _alternate(votes, floor=FLOOR)
     weights = 1 / (found[2] ** 2 + FLOOR * votes.points.var())
     if weights.max() < LONE * weights.sum():

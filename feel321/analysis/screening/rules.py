@@ -78,29 +78,17 @@ def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
 
 
 def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]:
-    """Find where outlying begins: 1.5 hinge spreads outside the hinges.
-
-    On a scale of few steps the hinge spread counts as one step at least: where most raters choose one step, their
-    neighbours on the next are no outliers.
-    """
+    """Find where outlying begins: 1.5 hinge spreads, or steps of a coarse scale, outside the hinges."""
     low, high = tukey_hinges(values)
     reach = REACH * max(high - low, step)
     return low - reach, high + reach
 
 
 def multimodality(values: ArrayLike) -> float:
-    """Measure by skewness and kurtosis whether values may have more than one peak.
+    """Measure whether values may have more than one peak: above 5/9 [2]_; NaN for fewer than 4, and constants.
 
-    (g² + 1) / (k + 3 (n - 1)² / ((n - 2)(n - 3))), g the skewness and k the excess kurtosis, both corrected for
-    sample size. Above 5/9 more than one peak is possible, as is strong skewness; NaN for fewer than 4 values and
-    for values that are all the same. Use it to find items whose mean rating hides two camps of raters; look at their
-    histogram before concluding. With fewer than some 20 raters it scatters widely.
-
-    Examples
-    --------
-    >>> two_camps, one = [10, 11, 12, 13, 90, 91, 92, 93] * 4, [1, 3, 3, 4, 4, 4, 4, 5, 5, 7] * 3
-    >>> round(multimodality(two_camps), 2), round(multimodality(one), 2)
-    (0.85, 0.25)
+    (g² + 1) / (k + 3 (n - 1)² / ((n - 2)(n - 3))), g the skewness and k the excess kurtosis, corrected for n.
+    With fewer than some 20 raters it scatters widely.
     """
     given = read_numbers(values, what="values").ravel()
     n = len(given)
@@ -320,10 +308,7 @@ def _reversed_scale(judgements: Judgements, limit: float) -> DataFrame:
 
 
 def _straight_lining(judgements: Judgements, limit: float) -> DataFrame:
-    """Find raters who leave the slider at one place.
-
-    On a scale of few steps, where a lenient rater uses the top step often, the limit is half as far from 1.
-    """
+    """Find raters who leave the slider at one place; on a scale of few steps the limit is half as far from 1."""
 
     def count_densest(ratings: Series) -> int:
         ordered = np.sort(ratings.to_numpy(np.float64))
@@ -342,10 +327,7 @@ def _straight_lining(judgements: Judgements, limit: float) -> DataFrame:
 
 
 def _test_retest(judgements: Judgements, limit: float) -> DataFrame:
-    """Correlate second ratings with first ones: random clicking shows as none.
-
-    NaN for fewer than 8 pairs, and where somebody's first or second ratings are all the same.
-    """
+    """Correlate second ratings with first ones; NaN for fewer than 8 pairs, and where either are all the same."""
     pairs = judgements.first_two()
     whose, times = pairs["participant"], pairs[["first", "second"]]
     centred = times - times.groupby(whose, observed=True).transform("mean")
@@ -518,13 +500,7 @@ RULES: Mapping[str, Rule] = MappingProxyType({
 def choose_limits(
     rules: Iterable[str] | Mapping[str, float] | None, *, random: bool
 ) -> dict[str, float]:
-    """Settle which rules apply and their limits: name -> limit, in the order of `RULES`.
-
-    Examples
-    --------
-    >>> choose_limits(["mid_anchor"], random=False), choose_limits({"mid_anchor": 0.2}, random=False)
-    ({'mid_anchor': 0.15}, {'mid_anchor': 0.2})
-    """
+    """Settle which rules apply and their limits: name -> limit, in the order of `RULES`."""
     if rules is None:
         return {name: rule.limit for name, rule in RULES.items() if random or name != EXPERTISE}
     wanted = [rules] if isinstance(rules, str) else list(rules)

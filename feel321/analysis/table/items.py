@@ -396,13 +396,7 @@ def find_sources(rows: Table | DataFrame) -> Series:
 
 
 def format_recordings(recordings: int, sources: int) -> str:
-    """Say how many recordings there are, and how many things happened that they record.
-
-    Examples
-    --------
-    >>> format_recordings(12, 4), format_recordings(3, 1), format_recordings(1, 1)
-    ('12 recordings of 4 sources', '3 recordings of 1 source', '1 recording')
-    """
+    """Say how many recordings there are, and of how many sources: "12 recordings of 4 sources"."""
     of = "" if sources >= recordings else f" of {sources} source{'s' if sources != 1 else ''}"
     return f"{recordings} recording{'s' if recordings != 1 else ''}{of}"
 

@@ -22,13 +22,7 @@ SPACE = "Where a map of the dissimilarities can be made, see The space of what w
 
 
 def list_names(names: Sequence[str]) -> str:
-    """List names for a note.
-
-    Examples
-    --------
-    >>> list_names(["a", "b", "c", "d", "e"])
-    "'a', 'b', 'c' and 2 more"
-    """
+    """List names for a note; of more than three, the others are counted."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(shorten(name) for name in names[:NAMED]) + more
 

@@ -227,13 +227,7 @@ def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
 
 
 def shorten(text: str) -> str:
-    r"""Quote a cell for a message that is to stay one line.
-
-    Examples
-    --------
-    >>> shorten("a\nb"), shorten("x" * 100)
-    ("'a\\nb'", "'xxxxxxxxxxxxxxxxxxxxxxxxxxxx...xxxxxxxxxxxxxxxxxxxxxxxxxxxx'")
-    """
+    """Quote a cell for a message that is to stay one line."""
     half = LONGEST // 2 - 2
     return repr(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
 

@@ -5,10 +5,9 @@ The first bytes decide which format a file is, and only then its suffix. What is
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -75,9 +74,7 @@ SATURATED_SAMPLES = 3  # So many equal samples in a row at an axis's extreme cou
 def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
     """Report saturated runs and constant axes, in samples (3, n) as recorded, not resampled.
 
-    A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the signal came or
-    went by more than twice the smallest difference between its values: the smooth crest of a slow, quantised signal is
-    not reported.
+    Saturated: three or more equal samples at an extreme that it came to or left by more than twice its smallest step.
     """
     findings = []
     for name, axis in zip("xyz", acceleration, strict=True):
@@ -288,68 +285,11 @@ def read_recording(
         )
 
 
-def read_recordings(
-    paths: PathLike | Iterable[PathLike],
-    **options: Any,  # noqa: ANN401 - those of read_recording, checked there
-) -> list[Recording]:
-    """Read several recordings, or report what is wrong with each at once.
-
-    Parameters
-    ----------
-    paths : str or path, or sequence of them
-        A folder, of which every file with a known suffix is read, or files.
-    **options
-        Options of `read_recording`, for every file.
-
-    Returns
-    -------
-    list of Recording
-        In the order of the files, by name for a folder; the files of an LMT-108 triple are one recording.
-
-    Raises
-    ------
-    ValueError
-        If any cannot be read; a line per file.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from feel321 import stimuli
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     for name in ("bumps", "hard_taps"):
-    ...         scene = stimuli.make_scene(name, duration_s=1)
-    ...         stimuli.write_wav(f"{folder}/{name}.wav", scene.acceleration, scene.rate_hz)
-    ...     [recording.name for recording in stimuli.read_recordings(folder, unit="m/s^2")]
-    ['bumps', 'hard_taps']
-    """
-    wanted = [as_path(paths)] if isinstance(paths, str | os.PathLike) else [*map(as_path, paths)]
-    if isinstance(paths, str | os.PathLike) and (folder := wanted[0]).is_dir():
-        wanted = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
-        if not wanted:
-            raise ValueError(
-                f"{folder}: holds no recording; the suffix must be one of {' '.join(SUFFIXES)}"
-            )
-    read: dict[tuple[str, str], Recording] = {}
-    problems = []
-    for file in wanted:
-        try:
-            found = read_recording(file, **options)
-        except (OSError, ValueError) as error:
-            problems.append(str(error))
-        else:
-            read.setdefault((found.name, found.sha256), found)
-    if problems:
-        raise ValueError("\n".join(problems))
-    return list(read.values())
-
-
 def _decode(path: Path, request: ReadingOptions) -> Decoded:
     if path.is_dir():
         raise IsADirectoryError("is a folder; name a recording file in it")
     if not os.path.lexists(path):
-        raise FileNotFoundError(
-            f"there is no such file in {path.parent}; check the name and the folder"
-        )
+        raise FileNotFoundError(f"there is no such file in {path.parent}; check the name")
     kind = detect_format(path)
     if request.columns is not None and kind not in {"table", "npz", "mat"}:
         raise ValueError(f"columns is for tables, NPZ and MAT, got a {kind} file; leave it out")

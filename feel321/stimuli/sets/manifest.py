@@ -197,10 +197,7 @@ class StimulusSet(Result):
 
 
 def find_raised(gains: Iterable[tuple[str, str, float]]) -> tuple[str, ...]:
-    """Name recordings that are played more than 40 dB stronger than recorded; gains: recording, level arm, gain.
-
-    In a level arm where each reducer has a gain of its own, the smallest is that of the recording.
-    """
+    """Name recordings played over 40 dB stronger than recorded; gains: recording, arm, gain: the least counts."""
     least: dict[tuple[str, str], float] = {}
     for recording, level, gain in gains:
         least[recording, level] = min(gain, least.get((recording, level), math.inf))

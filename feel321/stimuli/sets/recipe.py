@@ -191,10 +191,7 @@ def _envelope(recording: Recording) -> Samples:
 
 
 def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold: str) -> Samples:
-    """Flatten an envelope softly, until an anchor as strong as its recording has no higher peaks.
-
-    At most so far that its root mean square marks the knee: events remain events.
-    """
+    """Flatten an envelope softly until the anchor has no higher peaks; at most its root mean square marks the knee."""
     from scipy.optimize import brentq
 
     def measure(samples: Samples) -> tuple[float, float]:
@@ -325,54 +322,47 @@ class Recipe:
     def _find_methods(self) -> None:
         """Put short names in the place of the lab's own methods, and keep the methods that are used."""
         known = {(one.kind, one.name): one for one in self.methods}
-        used = {}
+        used: dict[tuple[str, str], Method] = {}
 
-        def find(kind: str, given: object, taken: Collection[str]) -> str:
-            own = known.get((kind, given)) if isinstance(given, str) else None
+        def settle(kind: str, given: Any, ours: Collection[str], *, taken: Collection[str]) -> str:  # noqa: ANN401 - a name or a function
+            own, named = None, isinstance(given, str)
+            if named and (
+                given in ours or not ((own := known.get((kind, given))) or is_given(kind, given))
+            ):
+                return str(given)
             method = own or find_method(kind, given, taken=taken)
             used[kind, method.name] = method
             return method.name
 
-        def is_own(kind: str, given: object, ours: Collection[str]) -> bool:
-            if not isinstance(given, str):
-                return True
-            return given not in ours and ((kind, given) in known or is_given(kind, given))
-
         references = (ORIGINAL, NO_REFERENCE, *REDUCERS)
         taken = (*references, *ANCHORS)
-        reducers = [
-            find("reducer", one, taken)
-            if is_own("reducer", one, REDUCERS)
-            else check_name(one, REDUCERS, "reducer")
-            for one in as_names(self.reducers, "reducers")
-        ]
-        reference = self.reference
-        if is_own("reducer", reference, references):
-            reference = find("reducer", reference, taken)
-        metrics = [
-            find("metric", one, COLUMNS) if is_own("metric", one, COLUMNS) else one
-            for one in as_names(self.metrics, "metrics")
-        ]
-        found = {"reducers": tuple(reducers), "reference": reference, "metrics": tuple(metrics)}
+        wanted, further = as_names(self.reducers, "reducers"), as_names(self.metrics, "metrics")
+        reducers = tuple(settle("reducer", one, REDUCERS, taken=taken) for one in wanted)
+        reference = settle("reducer", self.reference, references, taken=taken)
+        metrics = tuple(settle("metric", one, COLUMNS, taken=COLUMNS) for one in further)
+        own = tuple(name for kind, name in used if kind == "reducer")
+        for name in reducers:
+            check_name(name, own if name in own else REDUCERS, "reducer")
+        found = {"reducers": reducers, "reference": reference, "metrics": metrics}
         for name, value in (found | {"methods": tuple(used.values())}).items():
             object.__setattr__(self, name, value)
-        check_name(reference, references + tuple(one.name for one in used.values()), "reference")
+        check_name(reference, (*references, *own), "reference")
 
     def _check_numbers(self) -> None:
         low, high = RIG_RATES_HZ
-        if check_rate(self.rate_hz) != int(self.rate_hz) or not low <= self.rate_hz <= high:
-            must = f"a whole number of Hz from {low} to {high}"
-            raise ValueError(f"rate_hz must be {must}, got {self.rate_hz}")
-        if not 0 < self.headroom <= 1:
-            must = "above 0 and at most 1 (full scale)"
-            raise ValueError(f"headroom must be {must}, got {self.headroom}")
+        whole = check_rate(self.rate_hz) == int(self.rate_hz) and low <= self.rate_hz <= high
         check_rate(self.full_scale_m_s2, "full_scale_m_s2", " of m/s^2")
-        wrong = isinstance(self.gain, str | bool) or not 0 < self.gain < float("inf")
-        if self.gain not in GAINS and wrong:
-            must = "a finite number above 0, 'set' or 'per_recording'"
-            raise ValueError(f"gain must be {must}; got {self.gain!r}")
-        if not 0 <= self.fade_s < float("inf"):
-            raise ValueError(f"fade_s must be 0 s or more, got {self.fade_s}")
+        number = not isinstance(self.gain, str | bool) and 0 < self.gain < float("inf")
+        gains = "a finite number above 0, 'set' or 'per_recording'"
+        rules = {
+            "rate_hz": (whole, f"a whole number of Hz from {low} to {high}"),
+            "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
+            "gain": (number or self.gain in GAINS, gains),
+            "fade_s": (0 <= self.fade_s < float("inf"), "0 s or more"),
+        }
+        for name, (is_right, must) in rules.items():
+            if not is_right:
+                raise ValueError(f"{name} must be {must}, got {getattr(self, name)!r}")
 
 
 def describe_recipe(recipe: Recipe) -> dict[str, Any]:

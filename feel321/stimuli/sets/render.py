@@ -255,10 +255,7 @@ def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, recipe: Reci
 def choose_gains(
     measured: Mapping[str, Measured], recipe: Recipe, *, drafts: Mapping[str, Sequence[Draft]]
 ) -> dict[tuple[str, str], float]:
-    """Choose the gain of every stimulus, (level, key) -> gain, from what was measured; drafts: of each recording.
-
-    Anchors are played as strong as their recording, or as strong as the headroom allows: they never set a gain.
-    """
+    """Choose gains, (level, key) -> gain, from what was measured; anchors never set one; drafts: of each recording."""
     per_recording = recipe.gain == GAIN_PER_RECORDING
     together = drafts.values() if per_recording else [[*chain(*drafts.values())]]
     room = recipe.headroom * recipe.full_scale_m_s2
