@@ -59,19 +59,10 @@ def test_odd_ratings_are_told(files: Callable[..., object], change: Change, note
 
 LISTED = [
     (lambda f: f.assign(colour="red"), "manifest.csv: columns that are not used: 'colour'."),
-    (
-        lambda f: f.assign(temporal_match=""),
-        "manifest.csv has nothing in a column 'temporal_match', so that metric is",
-    ),
-    (
-        lambda f: f.assign(level=""),
-        "manifest.csv has nothing in a column 'level': every stimulus is taken as 'as_is'.",
-    ),
-    (
-        lambda f: f.assign(source=f["recording"].str[:3]),
-        "The 4 recordings come from 1 source, turned, cut or edited",
-    ),
-]
+    (lambda f: f.assign(temporal_match=""), "manifest.csv has nothing in a column 'temporal_match', so that metric is"),
+    (lambda f: f.assign(level=""), "manifest.csv has nothing in a column 'level': every stimulus is taken as 'as_is'."),
+    (lambda f: f.assign(source=f["recording"].str[:3]), "The 4 recordings come from 1 source, turned, cut or edited"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("change", "note"), LISTED)
