@@ -213,9 +213,8 @@ def predict_votes(
         ``shares``, indexed by metric: ``share`` of choices predicted, a tie counting half, its 95 % two-way interval
         ``low high``, ``p`` against chance (0.5), ``p_holm`` and ``n_ties``; ``differences`` of two metrics' shares,
         likewise; ``others others_low others_high``, the share that the majority of the other participants made of the
-        same pair, what a person's choice can be predicted by; ``majority``, the share that agrees with the majority of
-        all: no metric that gives everybody the same answer predicts more; ``n_votes n_participants n_recordings
-        n_pairs notes``.
+        same pair, and ``majority``, that of all: the ceiling from both sides [2]_; ``n_votes n_participants
+        n_recordings n_pairs notes``.
 
     Raises
     ------
@@ -228,12 +227,8 @@ def predict_votes(
     variance is that of clustering by participants and by recordings [1]_, V_P + V_R - V_PR, each part multiplied by
     G / (G - 1) for G groups, and never less than V_P or V_R; 95 % t intervals with U - 1 degrees of freedom, U the
     smaller number of the two, of shares on the scale of log odds. Below 3 participants or recordings there is none.
-    Choices are mostly noise, which a bootstrap of participants and recordings counts three times: in 300 simulated
-    studies a metric without any effect was found at a nominal 5 % in 0 to 2 % by such a bootstrap, and in 1 to 5 % by
-    this variance. Reducers are not drawn: another set of reducers may rank metrics differently.
-
-    The ceiling is given from both sides, as for noise ceilings of representational models [2]_: by the majority of the
-    others, and by the majority of all.
+    A bootstrap of both counts the noise of choices three times: in 300 simulated studies of a metric without effect it
+    found one in 0 to 2 %, this variance in 1 to 5 % (nominal 5 %). Other reducers may rank metrics differently.
 
     References
     ----------

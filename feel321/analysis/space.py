@@ -75,13 +75,12 @@ def fit_space(
     Notes
     -----
     SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs. Stress-1 = √(Σ (δ̂ - d)² / Σ d²), where δ̂ is
-    δ, or in ordinal maps its best monotone transform, the same for equal δ. Averaging assumes that people share one
-    map; look at the individual ones before.
+    δ, or in ordinal maps its best monotone transform. Averaging assumes that people share one map.
 
     For ellipses, every draw of participants is scaled anew, from the group's map on, and aligned with it by Procrustes'
-    rotation, because maps have no direction of their own; what is left is the positions' covariance C. The ellipse is
-    {x: (x - m)ᵀ C⁻¹ (x - m) <= χ²(.95, 2) P / (P - 1)} for P participants. Fitting to the group removes some of the
-    movement: with few stimuli ellipses are somewhat small. Pairs that nobody in a draw has rated keep the group's mean.
+    rotation; what is left is the positions' covariance C. The ellipse is {x: (x - m)ᵀ C⁻¹ (x - m) <= χ²(.95, 2) P /
+    (P - 1)} for P participants. Fitting to the group removes some of the movement: with few stimuli ellipses are
+    somewhat small. Pairs that nobody in a draw has rated keep the group's mean.
 
     References
     ----------

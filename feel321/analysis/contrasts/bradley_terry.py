@@ -97,15 +97,14 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     Notes
     -----
     Model: P(i beats j) = 1 / (1 + exp(-(λ_i - λ_j + o))), comparisons independent; o is the order effect, for
-    i presented first. It is a binomial regression without intercept on ±1 contrasts, fitted by Newton's
-    method. Estimates are finite exactly if, however the items are parted in two, each part won against the other
-    (Ford 1957). Half wins for ties keep the estimates sensible, but errors
-    are then those of as many decided comparisons.
+    i presented first: a binomial regression without intercept on ±1 contrasts, fitted by Newton's method. Estimates
+    are finite exactly if, however the items are parted in two, each part won against the other (Ford 1957). With half
+    wins for ties, errors are those of as many decided comparisons.
 
     Comparisons of one rater are not independent: the plain errors are too small for a panel, and those by rater are
     for conclusions. With U raters and λ* an ability in a draw, se = √(U/(U - 1)) SD(λ*) and the interval is
     λ ± t(.975, U - 1) se. Draws in which an item always wins or loses, or meets no other, have no estimate; where they
-    are more than a tenth, there is no interval, and a note says so. These stimuli are taken as the only ones.
+    are more than a tenth, there is no interval. These stimuli are taken as the only ones.
 
     References
     ----------

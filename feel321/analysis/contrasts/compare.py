@@ -57,10 +57,9 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     Notes
     -----
     H0: the true value is at `low` or below, or at `high` or above. t_low = (estimate - low)/se and t_high =
-    (estimate - high)/se, each against t(df), one-sided; p is the larger, and no correction is due because
-    both must be rejected. A difference that is not significant is *not* evidence of equivalence, and an
-    estimate may be both different from 0 and equivalent. An estimate without a standard error (a singular
-    fit) proves nothing and is refused.
+    (estimate - high)/se, each against t(df), one-sided; p is the larger, and no correction is due because both must be
+    rejected. A difference that is not significant is *not* evidence of equivalence, and an estimate may be both
+    different from 0 and equivalent. One without a standard error (a singular fit) is refused.
 
     References
     ----------

@@ -76,10 +76,9 @@ def discriminate(
         independent observations   Φ(d'/√2) Φ(d'/2)  + Φ(-d'/√2) Φ(-d'/2)
         differencing               Φ(d'/√2) Φ(d'/√6) + Φ(-d'/√2) Φ(-d'/√6)
 
-    Which of the two people use is not known from shares alone; with A and B fixed over many trials the first
-    is likely, when the pair roves the second. Ends of the interval of d' are the d' of the ends of Wilson's
-    interval. Trials are taken for independent: pooled over people, the interval is about these people. A
-    share below .5 has d' 0. The pooled d' is smaller than the mean d' when pairs differ in difficulty.
+    Which of the two people use is not known from shares alone; with A and B fixed over many trials the first is likely,
+    when the pair roves the second. Ends of the interval of d' are the d' of the ends of Wilson's interval. Trials are
+    taken for independent: pooled over people, the interval is about these people. A share below .5 has d' 0.
 
     References
     ----------

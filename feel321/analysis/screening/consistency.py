@@ -94,14 +94,12 @@ def rater_model(
     bias, weighted by one over inconsistency squared), until qualities settle. Standard errors: inconsistency / sqrt(n)
     of a bias and inconsistency / sqrt(2 n) of an inconsistency; of a quality the standard deviation of the stimulus's
     residuals over sqrt(n) (``se``), and one over the root of the summed weights (``se_raters``, SUREAL's
-    ``MLE_CO_AP``). With few raters the likelihood may grow without bound as the qualities become the ratings of one
-    of them; where one has half of all weights, all count alike instead, and a note says so.
+    ``MLE_CO_AP``). With few raters the likelihood may grow without bound; where one has half of all weights, all count
+    alike instead, and a note says so.
 
-    Who stands apart: honest raters differ in inconsistency too, by a factor that is about log-normal, so the
-    logarithms are tested by Rosner's generalised extreme studentised deviate, one-sided, for up to a quarter of the
-    raters, at 5 % for the whole panel: several bad raters do not hide each other, as they would where each was compared
-    with a standard deviation that they had widened. Among honest panels of 12 to 30 raters somebody is said to stand
-    apart in about one of twenty.
+    Who stands apart: honest raters differ in inconsistency by a factor that is about log-normal, so the logarithms are
+    tested by Rosner's generalised extreme studentised deviate, one-sided, for up to a quarter of the raters, at 5 % for
+    the whole panel: several bad raters do not hide each other.
 
     References
     ----------

@@ -65,12 +65,10 @@ def screen_raters(
     put above 90 does not count for either. These rules, and that about the low anchor, are for MUSHRA, where the
     reference is in sight: on realism or similarity they flagged 11 of 16 ordinary raters. Ratings without a protocol
     are of the protocol that their scale is named after; others count as MUSHRA only if such a rule is asked by name.
-    The notes say what was assumed.
 
-    All other rules are extensions with limits by convention: use them to find whom to ask about, state the rules before
-    the data are seen, and report results with and without the flagged raters. A scale with 11 steps or fewer is
-    recognised by its ratings, and no rule flags a rater for what rounding to its steps does. A flagged rater should be
-    followed up, not automatically excluded.
+    All other rules are extensions with limits by convention: state them before the data are seen, and report results
+    with and without the flagged raters, who should be followed up, not automatically excluded. A scale with 11 steps or
+    fewer is recognised by its ratings, and no rule flags a rater for what rounding to its steps does.
 
     References
     ----------

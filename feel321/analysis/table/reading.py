@@ -1,18 +1,16 @@
 """Ratings joined with their stimuli, labels and further metrics: one tidy table, or one clear line about what is wrong.
 
-Conventions: ratings run from 0 to 100; one row per judgement; recording, reducer, level, role and the metrics
-of a stimulus come from the manifest. `reference_id` names another stimulus, or `surface`, or is empty. A dissimilarity
-has no direction, so it is about whichever of the two stimuli is not the reference. Nothing is repaired and nothing is
-dropped silently: what is left out, or assumed because a column is missing, is in `Table.notes`.
+Conventions: ratings run from 0 to 100; one row per judgement; recording, reducer, level, role and the metrics of a
+stimulus come from the manifest. `reference_id` names another stimulus, or `surface`, or is empty. Nothing is repaired
+and nothing is dropped silently: what is left out, or assumed because a column is missing, is in `Table.notes`.
 
 A study whose participants differ, in how they hold the tool for example, writes `participants.csv` with a column for
-each such factor. Its columns become columns of the judgements; no test compares groups of people.
+each such factor: they become columns of the judgements; no test compares groups of people.
 
-Any numeric column of the manifest is a metric (`feel321.analysis.table.metrics`). Further metrics are the rotation
-statistics of the metrics, the metrics of signals as they were delivered, and counterparts that no orientation of the
-sensor changes. A stimulus has them from the manifest, from the ratings (the mean over its judgements), or from the
-caller. They are explored, so no primary analysis and no correction for several tests holds them, unless the analysis
-declares them as its metrics.
+Any numeric column of the manifest is a metric. Further metrics are the rotation statistics of the metrics, the metrics
+of signals as they were delivered, and counterparts that no orientation of the sensor changes. A stimulus has them from
+the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored, so no primary
+analysis and no correction for several tests holds them, unless the analysis declares them as its metrics.
 """
 
 from __future__ import annotations
