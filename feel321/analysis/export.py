@@ -30,7 +30,7 @@ FIRST = "# Primary models of feel321 in R: run in this folder, Rscript model.R; 
 def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
     """Write the judgements to a folder, and, per scale and level, the primary model's data, slopes and code for lme4.
 
-    ``judgements.csv``; ``SCALE-LEVEL/model.csv``, ``model.R`` (`Primary.to_r`) and ``slopes.csv``, what feel321
+    ``judgements.csv``; ``SCALE_LEVEL/model.csv``, ``model.R`` (`Primary.to_r`) and ``slopes.csv``, what feel321
     estimates; ``model.R`` runs them all. folder: a new or empty one, or that of an earlier export, which is replaced.
     rng: seed of the report; it decides which ratings are kept where there are too many for one fit.
     """

@@ -75,7 +75,7 @@ def test_judgements_are_those_of_the_table(table: analysis.Table, folder: Path) 
 
 def test_slopes_are_those_of_fit_primary(table: analysis.Table, folder: Path) -> None:
     for scale in ("realism", "force"):
-        listed = pd.read_csv(folder / f"{scale}-as_is" / "slopes.csv").set_index("metric")
+        listed = pd.read_csv(folder / f"{scale}_as_is" / "slopes.csv").set_index("metric")
         own = analysis.fit_primary(table, scale=scale, explain=False).slopes
         for metric in table.metrics:
             assert listed.loc[metric, "estimate"] == pytest.approx(own["estimate"][metric])
@@ -84,7 +84,7 @@ def test_slopes_are_those_of_fit_primary(table: analysis.Table, folder: Path) ->
 @pytest.mark.parametrize(("scale", "metric"), WITH_R)
 def test_slopes_agree_with_lme4(folder: Path, scale: str, metric: str) -> None:
     """R fitted these models on these data before recordings had slopes of their own, per 0.1 of each metric."""
-    place = folder / f"{scale}-as_is"
+    place = folder / f"{scale}_as_is"
     (formula,) = re.findall(
         r"lmer\w*\((rating ~ .*?), (?:data = )?model", (place / "model.R").read_text()
     )
