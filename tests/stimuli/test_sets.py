@@ -426,7 +426,7 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(
         ({"reference": "best"}, "must be one of original, none, sax321"),
         ({"rate_hz": 44100.5}, "whole number of Hz"),
         ({"headroom": 1.5}, "at most 1"),
-        ({"gain": float("inf")}, "gain must be a finite number above 0, 'set' or 'per_recording'; got inf"),
+        ({"gain": float("inf")}, "gain must be a finite number above 0, 'set' or 'per_recording', got inf"),
         ({"threshold": "finger"}, "threshold must be one of contactor, grasped_stylus; got 'finger'"),
     ],
 )  # fmt: skip
