@@ -189,15 +189,6 @@ def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
 NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2; if it is another, name it (unit, --unit)"
 
 
-def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str, ...]]:
-    """Decide the unit from the file and the caller."""
-    wanted = None if requested is None else parse_unit(requested)
-    if own and wanted and own != wanted:
-        raise ValueError(f"the file gives the unit {own!r}, but unit={requested!r}; leave unit out")
-    unit = own or wanted
-    return (unit, ()) if unit else ("m/s^2", (NO_UNIT_NOTE,))
-
-
 READERS: Mapping[str, Callable[[Path, ReadingOptions], Decoded]] = {
     "wav": files.read_wav_recording,
     "table": read_table,
@@ -266,7 +257,10 @@ def read_recording(
     request = ReadingOptions(rate_hz, unit, columns, full_scale, resample)
     with file_named(source):
         decoded = _decode(source, request)
-        unit_found, unit_notes = settle_unit(decoded.unit, unit)
+        wanted, own = None if unit is None else parse_unit(unit), decoded.unit
+        if own and wanted and own != wanted:
+            raise ValueError(f"the file gives the unit {own!r}, but unit={unit!r}; leave unit out")
+        unit_found, unit_notes = own or wanted or "m/s^2", (NO_UNIT_NOTE,) * (not (own or wanted))
         # What is not finite is refused in the next line.
         with np.errstate(over="ignore", invalid="ignore"):
             acceleration = decoded.acceleration * UNITS[unit_found]
@@ -276,13 +270,8 @@ def read_recording(
         digest = hashlib.sha256()
         for one in decoded.sources or (source,):
             digest.update(intake.read_bytes(one))
-        return Recording(
-            samples,
-            rate,
-            name=decoded.name or source.stem,
-            warnings=(*unit_notes, *decoded.notes, *notes, *found),
-            sha256=digest.hexdigest(),
-        )
+        name, told = decoded.name or source.stem, (*unit_notes, *decoded.notes, *notes, *found)
+        return Recording(samples, rate, name=name, warnings=told, sha256=digest.hexdigest())
 
 
 def _decode(path: Path, request: ReadingOptions) -> Decoded:

@@ -310,16 +310,6 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
         If there is no manifest.
     ValueError
         If the manifest is damaged; the message names the line.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from feel321 import stimuli
-    >>> scene = stimuli.make_scene("bumps", duration_s=0.5)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     built = stimuli.build_stimuli([scene], folder, reducers=["dft321"], anchors=False)
-    ...     len(stimuli.read_stimuli(folder)), stimuli.check_stimuli(folder)
-    (2, [])
     """
     path = as_path(folder, "folder") / "manifest.csv"
     if not path.is_file():
