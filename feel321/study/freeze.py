@@ -139,7 +139,7 @@ def list_settings(study: StudyFolder, settings: Settings, stimuli: StimulusSet) 
     from feel321.study.settings.read import CONSENT, read_study_texts
 
     found = dict(_flatten(settings.model_dump(mode="json", exclude=UNCOUNTED)))
-    for name in ("stimuli.reducers", "stimuli.metrics", "analysis.screening"):
+    for name in ("stimuli.reducers", "stimuli.metrics"):
         found[name] = [name_of(one) for one in found[name]]
     found["stimuli.reference"] = name_of(found["stimuli.reference"])
     # What participants read counts, but an ethics board may still reword the page of consent.
