@@ -12,6 +12,7 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis import export
+from feel321.analysis.primary.rcode import write_r_string
 
 WITH_R = {
     # R 4.2.2, lme4 1.1-31, lmerTest 3.1-3: estimate, se, df.
@@ -125,3 +126,7 @@ def test_only_an_earlier_export_is_replaced(table: analysis.Table, tmp_path: Pat
         with pytest.raises(FileExistsError, match="holds files that are not"):
             export.export_r(some, path)
     assert [path.read_text() for path in other.iterdir()] == ["mine"]
+
+
+def test_text_is_quoted_as_r_takes_it() -> None:
+    assert write_r_string('r\u00e9alisme "1"') == '"r\\u00e9alisme \\"1\\""'

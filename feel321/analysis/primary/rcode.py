@@ -27,13 +27,7 @@ lmer_penalised <- function(formula, data, group) {
 
 
 def write_r_string(text: str) -> str:
-    r"""Quote text for R, in ASCII.
-
-    Examples
-    --------
-    >>> print(write_r_string('r\u00e9alisme "1"'))
-    "r\u00e9alisme \"1\""
-    """
+    """Quote text for R, in ASCII."""
     quoted = text.replace("\\", "\\\\").replace('"', '\\"')
     letters = (c if c.isascii() and c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
     return f'"{"".join(letters)}"'.replace("\\U0000", "\\u")

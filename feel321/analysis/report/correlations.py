@@ -16,12 +16,16 @@ import numpy as np
 
 from feel321.analysis import words
 from feel321.analysis.agreement import SMALLEST
-from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import correlate_items, make_panel
 from feel321.analysis.figures import kinds
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows
-from feel321.analysis.standard import compare_p1401, p1401
+from feel321.analysis.standard import (
+    compare_dependent,
+    compare_p1401,
+    p1401,
+    repeated_measures_correlation,
+)
 from feel321.analysis.table.items import Part, make_items, split_tests
 from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.notes import SPACE, note_apart

@@ -392,7 +392,6 @@ def _draw(table: Table, models: Mapping[Part, Primary]) -> Iterator[Picture]:
 
 STRENGTH = "level_as_played"
 JOINT = "simultaneous 95 % interval, for other participants, recordings and reducers"
-PICKING = "95 % bootstrap interval, over participants, recordings and reducers"
 
 
 def compute_rivals(table: Table, choices: Choices) -> Found:
@@ -418,8 +417,7 @@ def compute_rivals(table: Table, choices: Choices) -> Found:
         keys: Row = {**part.keys, "n": ranking.n_items}
         frame = ranking.to_frame()
         rows["rivals"] += list_rows(frame, quantities, ["metric"], interval=JOINT, **keys)
-        ends = {"low": ranking.honest_low, "high": ranking.honest_high, "interval": PICKING}
-        rows["rivals_picked"].append(make_row("r_picked", ranking.honest_value, **ends, **keys))
+        rows["rivals_picked"].append(make_row("r_picked", ranking.honest_value, **keys))
         names = ("ceiling", "n_items", "n_participants", "n_sources")
         sizes = {name: getattr(ranking, name) for name in names} | {"n_metrics": len(frame)}
         rows["rivals_picked"] += parts.count_rows(sizes, **keys)
@@ -433,7 +431,7 @@ def _rank(part: Part, table: Table, choices: Choices) -> Statistic:
         rows = rows.assign(**{STRENGTH: 20 * np.log10(rows[AMPLITUDE])})
         names.append(STRENGTH)
     rng = choices.make_rng("rivals", *part.place)
-    return rivals.rank_metrics(rows, names, draws=choices.draws, rng=rng, info=table.info)
+    return rivals.rank_metrics(rows, names, rng=rng, info=table.info)
 
 
 def _draw_ranking(part: Part, one: Statistic, *, detail: bool) -> Picture:
@@ -470,7 +468,7 @@ def describe_ranking(part: Part, ranking: Statistic) -> Row:
         "better": list(ranking.better) if ranking.baseline else shown, "n_metrics": len(table),
         "n_candidates": len(ranking.candidates), "n_reducers": ranking.n_reducers, "needed": rivals.FEWEST_REDUCERS,
         "r": {"value": row["value"], "low": row["low"], "high": row["high"]}, "ceiling": ranking.ceiling,
-        "picked": {"value": ranking.honest_value, "low": ranking.honest_low, "high": ranking.honest_high},
+        "picked": ranking.honest_value,
     }  # fmt: skip
 
 
