@@ -119,7 +119,7 @@ def _admit(given: str, folder: Path) -> str:
         score=partial(_score, method=method, function=found.score),
         sha256=method.sha256,
     )
-    PROTOCOLS.admit(method.name, guarded)
+    PROTOCOLS[method.name] = guarded
     return method.name
 
 

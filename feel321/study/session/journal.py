@@ -23,7 +23,7 @@ from typing import Any
 
 from pydantic_core import from_json
 
-from feel321.files import create_file, write_bytes
+from feel321.files import create_file, sync_folder, write_bytes
 from feel321.study.session import events
 from feel321.study.session.events import SessionEvent
 
@@ -209,6 +209,7 @@ def create_journal(path: Path, *, now: Clock) -> Journal:
     """Begin a journal, of which the folder must exist; a file that is there is refused and left alone."""
     try:
         create_file(path, private=True)
+        sync_folder(path.parent)
     except FileExistsError:
         raise FileExistsError(f"{path}: already exists; not overwritten, resume it") from None
     return Journal(path, now)
