@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -222,10 +222,8 @@ def _make_check(room: Room) -> DeliveryCheck | None:
         return None
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
-    recordings = []
-    for source in read.list_unread(settings, folder):
-        with suppress(OSError, TypeError, ValueError):  # its stimuli have no delivered metrics
-            recordings.append(source.read())
+    found = (one for _, one in read.try_recordings(settings, folder))
+    recordings = [one for one in found if not isinstance(one, str)]
     return DeliveryCheck(
         room.stimuli,
         rig,
