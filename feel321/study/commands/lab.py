@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.mixer import Frames
     from feel321.study.actuator.rig import Rig
-    from feel321.study.session.engine import Outcome
     from feel321.study.session.ports import Place
 
 
@@ -89,7 +88,7 @@ def run(  # noqa: PLR0913 - one parameter per option
 LINE = 60  # characters of the line that says what is left; it is overwritten by the next
 
 
-def _count(place: "Place | Outcome") -> str:
+def _count(place: "Place") -> str:
     """Count answered trials, and those that were given up apart from them."""
     gone = f", {place.given_up} given up" if place.given_up else ""
     return f"{place.answered} of {place.total} answered{gone}"

@@ -31,12 +31,8 @@ Clock = Callable[[], datetime]
 
 START = "0" * 64  # in the first line, for the digest of the line before
 
-PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-"""Allowed codes of participants: they name folders."""
-
-SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")
-"""Names of the journals in a participant's folder; copies under other names are none."""
-
+PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # allowed codes: they name folders
+SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")  # copies under other names are no journals
 _APPEND = os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0)
 _FIELDS = {"sequence": int, "previous": str, "utc": str, "event": str, "data": dict}
 
