@@ -15,10 +15,9 @@ from shlex import quote
 import numpy as np
 import pandas as pd
 
-from feel321.analysis.replication.claims import Paper, PaperClaim
+from feel321.analysis.replication import Paper, PaperClaim
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
-from feel321.analysis.screening.screen import find_rules
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.metrics import ROTATIONS, list_rivals, make_info
@@ -85,7 +84,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             said = f"{study.settings.name} declares {', '.join(chosen.metrics)}."
             note = f"Metrics {', '.join(metrics)} were asked for with this analysis; {said}"
             further = replace(further, notes=(*further.notes, note))
-        further = replace(further, labels=list_labels(settings))
         own = not (ratings or manifest)
         standing = make_standing(study, settings, metrics=metrics or (), draws=draws, own=own)
         protocols = tuple(settings.session.protocols)
@@ -103,7 +101,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             margin=chosen.margin,
             metrics=metrics or chosen.metrics,
             further=further,
-            rules=find_rules(chosen.screening, study.path),
             about=about,
             sources=list_origins(settings) if settings else {},
             info=list_info(settings) if settings else {},
@@ -166,15 +163,6 @@ def _derive_tables(
     return replace(further, notes=notes), max(
         (one.last_rated[:10] for one in everybody), default=""
     )
-
-
-def list_labels(settings: Settings) -> pd.DataFrame:
-    """List what each recording is of, where that is said: columns interaction and sample, by recording."""
-    said = {
-        one.title: {"interaction": one.interaction, "sample": one.sample}
-        for one in settings.recordings
-    }
-    return pd.DataFrame.from_dict(said, orient="index").dropna(axis=1, how="all")
 
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:
@@ -309,7 +297,7 @@ def measure_rotations(
     wanted = settings.analysis.metrics if metrics is None else metrics
     # The first entry that differs from each in nothing but how the sensor was mounted.
     first: dict[str, str] = {}
-    own = {"name", "sample", "interaction", "picture", "rotation"}
+    own = {"name", "sample", "picture", "rotation"}
     copies = {
         entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
         for entry in settings.recordings

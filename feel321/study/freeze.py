@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 UNCOUNTED: Any = {
-    "study": {"name"}, "session": {"consent", "language"}, "recordings": True, "reducers": True, "formats": True,
+    "study": {"name"}, "session": {"consent", "language"}, "recordings": True, "reducers": True,
     "metrics": {"__all__": {"use", "command", "timeout_s", "label", "unit"}}, "observer": True, "stations": True,
     "paper": True, "publication": True,
 }  # fmt: skip
@@ -108,14 +108,13 @@ def read_frozen(study: StudyFolder) -> Frozen | None:
 
 def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     """List everything that counts by its dotted name, as JSON can hold it, in alphabetical order."""
-    from feel321.analysis.screening.screen import find_rules
     from feel321.protocols.tasks import digest_protocols
     from feel321.stimuli.sets.manifest import read_stimuli
     from feel321.study.settings.read import CONSENT, find_metric, make_recipe, read_study_texts
 
     stimuli = read_stimuli(study.stimuli)
     found = dict(_flatten(settings.model_dump(mode="json", exclude=UNCOUNTED)))
-    for name in ("stimuli.reducers", "stimuli.metrics", "analysis.screening"):
+    for name in ("stimuli.reducers", "stimuli.metrics"):
         found[name] = [name_of(one) for one in found[name]]
     found["stimuli.reference"] = name_of(found["stimuli.reference"])
     # What participants read counts, but an ethics board may still reword the page of consent.
@@ -124,13 +123,12 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     read = digest(json.dumps(texts, sort_keys=True))
     found |= {"stimuli.set": stimuli.sha256, "session.texts": read}
     found |= {f"recordings.{row.recording}": row.recording_sha256 for row in stimuli.stimuli}
-    # The lab's own code: reducers, metrics, screening rules and protocols.
-    rules = find_rules(settings.analysis.screening, study.path)
+    # The lab's own code: reducers, metrics and protocols.
     code = [name for name, table in settings.metrics.items() if table.use or table.command]
     declared = [find_metric(settings, name, study.path) for name in code]
     own = [one for one in declared if not isinstance(one, str)]
-    for method in (*make_recipe(settings, study.path).methods, *own, *rules):
-        found[f"code.{method.kind.replace(' ', '_')}.{method.name}"] = method.sha256
+    for method in (*make_recipe(settings, study.path).methods, *own):
+        found[f"code.{method.kind}.{method.name}"] = method.sha256
     protocols = digest_protocols(settings.session.protocols)
     found |= {f"code.{name}": sha256 for name, sha256 in protocols.items()}
     if settings.paper:

@@ -33,7 +33,7 @@ from feel321.study.settings import read
 from feel321.study.settings.schema import Settings, count_groups
 
 Progress = Callable[[int, int], None]
-Seen = tuple[sets.Survey, NDArray[np.float64] | None]
+Seen = tuple[sets.Facts, NDArray[np.float64] | None]
 """What one look at a recording gave, and the covariance of its axes."""
 
 
@@ -105,7 +105,7 @@ def check_study(
         unusable = [f"{study.settings.name}: {error}"]
     own = None if unusable else recipe
     seen, problems = _examine(study, settings, own, progress=progress)
-    facts = [one.facts for one, _ in seen if one.facts]
+    facts = [one for one, _ in seen if not one.fault]
     unread = [one.fault for one, _ in seen if one.fault]
     rig, rigged = _check_rig(study, settings, now=now)
     found = Problems()
@@ -132,12 +132,9 @@ def check_study(
 
 
 def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
-    from feel321.analysis.screening.screen import find_rules, make_rule
+    """Check the form of the lab's own reducers and metrics, as far as that is quick."""
     from feel321.stimuli.conform import check_method
 
-    for rule in find_rules(settings.analysis.screening, study.path):
-        make_rule(rule)
     return [
         f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
         for one in read.list_methods(settings, study.path)
@@ -155,14 +152,14 @@ def _examine(
     faults: list[str] = []
     for done, (source, recording) in enumerate(read.try_recordings(settings, study.path), start=1):
         if isinstance(recording, str):
-            seen.append((sets.Survey(None, {}, recording), None))
+            seen.append((sets.Facts(source.name, fault=recording), None))
             continue
-        own, covariance = sets.Survey(sets.Facts.find(recording), {}), None
+        own, covariance = sets.Facts.find(recording), None
         if recipe is not None:
-            known = history[source.name].measured
+            known = history.get(source.name, ())
             found = sets.survey_recording(recording, known, recipe=recipe)
             faults += [found.fault] if found.fault else []
-            if found.facts:
+            if not found.fault:
                 felt = condition(recording, recipe.conditioning).acceleration
                 own, covariance = found, np.asarray(np.einsum("in,jn->ij", felt, felt))
         seen.append((own, covariance))
@@ -175,7 +172,8 @@ def _foresee(
     study: StudyFolder, settings: Settings, seen: Sequence[Seen], *, recipe: Recipe, rig: Rig | None
 ) -> Problems:
     """Find out how strong stimuli are, how long a session takes, and, with a rig, how it brings them to the hand."""
-    foreseen = sets.place_surveyed([one for one, _ in seen], recipe)
+    placed = sets.place_surveyed([one for one, _ in seen], recipe)
+    foreseen = [one for own in placed.values() for one in own]
     is_built = study.manifest.exists()  # then its files are examined themselves
     found = strength.find_strength(settings, foreseen, recipe)
     found += Problems(tuple([] if is_built else strength.find_clipping(foreseen, recipe)))
@@ -184,7 +182,7 @@ def _foresee(
         Item(one.stimulus_id, one.recording, one.reducer, one.level, one.role) for one in foreseen
     ]
     crop_s = settings.stimuli.conditioning.crop_s
-    facts = [one.facts for one, _ in seen if one.facts]
+    facts = [one for one, _ in seen if not one.fault]
     durations = {one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in facts}
     with suppress(ValueError):  # what keeps trials from being made is found by itself
         length = measure_design(design, items, durations=durations, groups=groups)
@@ -193,7 +191,7 @@ def _foresee(
     if rig is None:
         return found
     limits = [] if is_built else strength.find_rig_limits(rig, foreseen, recipe.reference)
-    covariances = {one.facts.name: own for one, own in seen if one.facts and own is not None}
+    covariances = {one.name: own for one, own in seen if not one.fault and own is not None}
     reach = strength.find_reach(rig, covariances, recipe)
     problems, warnings, notes = (
         tuple(f"{study.rig.name}: {line}" for line in lines)

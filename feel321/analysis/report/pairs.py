@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis import maps
 from feel321.analysis import space as spaces
 from feel321.analysis.choices import CHANCE, gather_votes, predict
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
@@ -19,13 +18,14 @@ from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
-from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, LABELS, PAIRED
+from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, PAIRED
 from feel321.analysis.words import ONE_WAY, format_count, format_level, format_name, join_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from feel321.analysis.arrays import Values
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.records import Statistic
@@ -309,8 +309,8 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
 
 # Dissimilarities: the perceptual map, and what its axes are associated with.
 
-DRAWS, MAP_DRAWS = 200, 100
-"""Maps drawn anew, of all recordings and of each group of them; each takes a fit."""
+DRAWS = 200
+"""Maps drawn anew; each takes a fit."""
 
 
 def compute_space(table: Table, choices: Choices) -> Found:
@@ -319,7 +319,7 @@ def compute_space(table: Table, choices: Choices) -> Found:
     notes: list[str] = []
     pictures: list[Picture] = []
     told: list[Row] = []
-    tables = ("space", "space_stress", "space_metrics")
+    tables = ("space", "space_stress", "space_metrics", "space_attributes")
     rows: dict[str, list[Row]] = {name: [] for name in tables}
     for level in sorted(dissimilar["level"].unique()):
         rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
@@ -347,10 +347,11 @@ def compute_space(table: Table, choices: Choices) -> Found:
             means = rated.groupby("reducer", observed=True)[list(table.metrics)].mean()
             attributes = means.reindex(list(names))
             rng = choices.make_rng("space", level, "procrustes")
-            found = _relate(ellipses, attributes, rows, keys=keys, draws=choices.draws, rng=rng)
-            told.append({"level": level, **found})
+            met = _relate(ellipses, attributes, rows, keys=keys, draws=choices.draws, rng=rng)
+            told.append({"level": level, **met})
         except ValueError as error:
             notes.append(f"{PAIRED}, {level}: the map is compared with nothing else. {error}")
+        rows["space_attributes"] += _relate_axes(own, table, level, choices=choices, notes=notes)
     clauses = [
         f"{'the metrics align' if one['shown'] else 'it is unclear whether the metrics align'} with the perceptual map "
         f"(level {format_name(one['level'])})"
@@ -394,64 +395,25 @@ def _relate(
     return {"r": aligned.correlation, "p": aligned.p, "shown": aligned.p < parts.SIGNIFICANCE}
 
 
-# Maps of groups of recordings: interactions and surfaces.
-
-
 ATTRIBUTE = {
     "r2": "r2 - - p_holm", "axis_1": "axis_1", "axis_2": "axis_2", "p_unadjusted": "p", "p_least": "p_least",
 }  # fmt: skip
 
 
-def compute_maps(table: Table, choices: Choices) -> Found:
-    """Map dissimilarities per interaction and surface, beside the map of all recordings."""
-    rows = table.rows[table.rows["scale"] == PAIRED]
-    notes: list[str] = []
-    told: list[Row] = []
-    pictures: list[Picture] = []
-    tables = ("maps_groups", "maps_agreement", "maps_attributes", "maps")
-    found: dict[str, list[Row]] = {name: [] for name in tables}
-    for level in sorted(map(str, rows["level"].unique())):
-        own, lead = rows[rows["level"] == level], f"{PAIRED}, {level}"
-        rng = choices.make_rng("maps", level)
-        try:
-            groups = maps.map_groups(own, draws=min(MAP_DRAWS, max(choices.draws, 3)), rng=rng)
-        except ValueError as error:
-            notes.append(f"{lead}: no maps of groups. {error}")
-            continue
-        agreement = maps.compare_groups(groups, permuted=choices.draws, rng=rng)
-        if not any(name in own and len(own[name].unique()) > 1 for name in LABELS):
-            notes.append(
-                f"{lead}: maps are of all recordings together; name `interaction` and `sample` in [[recordings]], or "
-                "in columns of the manifest, for maps of each."
-            )
-        for group in groups:
-            keys: Row = {"level": level, "kind": group.kind, "group": group.name}
-            keys["n"] = len(group.matrices)
-            sizes = {"stress": group.space.stress, "n_participants": len(group.matrices)}
-            sizes |= {"n_recordings": group.n_recordings}
-            found["maps_groups"] += parts.count_rows(sizes, **keys)
-            found["maps"] += _list_places(
-                group.names, group.space, ellipses=group.ellipses, keys=keys
-            )
-            pictures += _draw_group(group, level)
-        pair = {"kind": "kind", "group": "first", "second_group": "second", "n": "n"}
-        note = f"{choices.draws} pairings"
-        quantities = {"procrustes": "correlation - - p"}
-        found["maps_agreement"] += list_rows(agreement, quantities, pair, level=level, note=note)
-        attributes: list[Row] = []
-        try:
-            points = maps.gather_points(own, table.stimuli, groups[0], rng=rng)
-            attributes = maps.regress_points(points, draws=min(choices.draws, 1000), rng=rng)
-            _adjust(attributes, table.metrics)
-            notes += [f"{lead}: {note}" for note in _note_points(points, attributes)]
-        except ValueError as error:
-            notes.append(f"{lead}: axes are not compared with attributes. {error}")
-        found["maps_attributes"] += list_rows(attributes, ATTRIBUTE, ["property", "n"], level=level)
-        told.append({
-            "level": level, "agreement": list(_find_least(agreement)), "attributes": attributes,
-            "clear": [row for row in attributes if row["p_holm"] < parts.SIGNIFICANCE],
-        })  # fmt: skip
-    return Found(found, {"parts": told} if told else {}, pictures, notes)
+def _relate_axes(
+    rows: DataFrame, table: Table, level: str, *, choices: Choices, notes: list[str]
+) -> list[Row]:
+    """Regress the attributes of stimuli on the axes of the recordings' maps."""
+    lead, rng = f"{PAIRED}, {level}", choices.make_rng("space", level, "attributes")
+    try:
+        places, known = spaces.gather_points(rows, table.stimuli, rng=rng)
+        found = spaces.regress_points(places, known, draws=min(choices.draws, 1000), rng=rng)
+    except ValueError as error:
+        notes.append(f"{lead}: axes are not compared with attributes. {error}")
+        return []
+    _adjust(found, table.metrics)
+    notes += [f"{lead}: {note}" for note in _note_points(places, found)]
+    return list_rows(found, ATTRIBUTE, ["property", "n"], level=level)
 
 
 def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
@@ -465,42 +427,21 @@ def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
             row["p_holm"] = p
 
 
-def _draw_group(group: maps.GroupMap, level: str) -> Iterator[Picture]:
-    if group.ellipses:
-        caption = (
-            f"Map of the dissimilarities of {group.kind} {group.name} at level {format_name(level)}, turned onto the "
-            "map of all recordings, with 95 % bootstrap ellipses over participants."
-        )
-        slug = parts.make_slug("maps", level, group.kind, group.name)
-        draw = partial(kinds.draw_space, group.ellipses, group.names)
-        yield Picture(slug, caption, draw, detail=True)
-
-
-def _find_least(rows: Sequence[Mapping[str, Any]]) -> Iterator[Row]:
-    """Find which maps of interactions, and which of samples, agree least."""
-    for kind in LABELS:
-        own = [row for row in rows if row["kind"] == kind and row["second"] != maps.ALL]
-        if own:
-            yield {**min(own, key=lambda row: row["correlation"]), "n_pairs": len(own)}
-
-
-def _note_points(points: maps.Points, rows: Sequence[Row]) -> Iterator[str]:
+def _note_points(places: Values, rows: Sequence[Row]) -> Iterator[str]:
     """Say on how little a regression of axes on attributes rests."""
-    n = len(points.stimuli)
+    recordings, n = places.shape[:2]
     if mute := [row["property"] for row in rows if row["p_least"] >= parts.SIGNIFICANCE]:
         yield f"permutations of {n} stimuli cannot show an association of the axes with {', '.join(mute)}."
-    if points.size < maps.ENOUGH * len(rows):
+    if recordings * n < spaces.ENOUGH * len(rows):
         yield (
-            f"{len(rows)} attributes are compared with {points.size} points ({n} stimuli in {len(points.places)} "
-            f"recordings); {maps.ENOUGH} for each are recommended: R² is descriptive only."
+            f"{len(rows)} attributes are compared with {recordings * n} points ({n} stimuli in {recordings} "
+            f"recordings); {spaces.ENOUGH} for each are recommended: R² is descriptive only."
         )
 
 
-WHOLE = "The space of what was felt"
 SECTIONS = (
     Section("choices", "Choices between two stimuli", "differ", compute_choices),
     Section("discrimination", "Telling stimuli apart (ABX)", "apart", compute_discrimination),
     Section("told_apart", "One axis against three", "apart", compute_told_apart),
-    Section("space", WHOLE, "apart", compute_space),
-    Section("maps", f"{WHOLE}, by interaction and surface", "apart", compute_maps),
+    Section("space", "The space of what was felt", "apart", compute_space),
 )

@@ -335,7 +335,7 @@ def _explain_spread(rows: DataFrame, metric: str) -> str:
     """Say why a spread over orientations may go with ratings the wrong way; of other metrics nothing."""
     if metric not in ROTATIONS:
         return ""
-    from feel321.analysis.replication.measures import explain_spread
+    from feel321.analysis.replication import explain_spread
 
     return explain_spread(rows, metric)
 

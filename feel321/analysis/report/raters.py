@@ -15,6 +15,7 @@ from feel321.analysis.primary.sensitivity import conclude, list_changes
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
 from feel321.analysis.screening.consistency import rater_model
+from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
@@ -53,7 +54,7 @@ def compute(table: Table, choices: Choices) -> Found:
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
     if single.empty:
         return Found(notes=("Raters were not screened: no stimulus was rated by itself.",))
-    screening = screen_raters(single, own=choices.rules, rng=choices.make_rng("raters"))
+    screening = screen_raters(single, rng=choices.make_rng("raters"))
     models: Models = []
     notes = list(screening.notes)
     for part in split_arms(single):  # hidden references and anchors included
@@ -73,7 +74,7 @@ def compute(table: Table, choices: Choices) -> Found:
         )],
         "models": [_describe_model(part, model) for part, model in models],
         "rules": {
-            rule: screening.known[rule].says.format(limit=limit) for rule, limit in screening.limits.items()
+            rule: RULES[rule].says.format(limit=limit) for rule, limit in screening.limits.items()
         },
         "unflagged": [row for row in changes if row["panel"] == ANY],
     }  # fmt: skip
@@ -108,14 +109,14 @@ def list_flagged(screening: Statistic, group: str) -> list[Hashable]:
     """List whom a group leaves out."""
     chosen = {
         EVERYONE: [], ANY: screening.rules,
-        STANDARD: [rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")],
+        STANDARD: [rule for rule in screening.rules if RULES[rule].source.startswith("ITU-R")],
     }[group]  # fmt: skip
     return sorted({who for rule in chosen for who in screening.hits[rule]}, key=str)
 
 
 def describe_flagged(screening: Statistic) -> Row:
     """Count the flagged raters, and those flagged by rules of BS.1534-3; applied: whether these apply."""
-    own = [rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")]
+    own = [rule for rule in screening.rules if RULES[rule].source.startswith("ITU-R")]
     shares = screening.table.loc[screening.table["rule"].isin(own), "share"]
     return {
         "flagged": len(list_flagged(screening, ANY)), "by_standard": len(list_flagged(screening, STANDARD)),
@@ -126,7 +127,7 @@ def describe_flagged(screening: Statistic) -> Row:
 def _list_screening(screening: Statistic) -> dict[str, list[Row]]:
     everyone, rules = screening.table["participant"].nunique(), []
     for rule, hits in screening.hits.items():
-        known = screening.known[rule]
+        known = RULES[rule]
         share = screening.table.loc[screening.table["rule"] == rule, "share"]
         texts = {
             "source": known.source, "protocols": ", ".join(map(format_name, known.protocols)) or "all",

@@ -22,7 +22,6 @@ from feel321.analysis.report.section import FIXED, Found, Row, Section
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES
-from feel321.analysis.screening.screen import find_rules
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import RECAST
@@ -33,7 +32,7 @@ from feel321.types import MetricInfo, PathLike, Progress, Rng
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.replication.claims import Paper
+    from feel321.analysis.replication import Paper
 
 SCHEMA_VERSION = 2
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
@@ -196,8 +195,6 @@ def describe_inputs(
     margin = "none" if choices.margin is None else str(choices.margin)
     told |= {"metrics": ", ".join(table.metrics), "draws": str(choices.draws), "margin": margin}
     told |= {"seed": str(choices.seed)}
-    for rule in choices.rules:
-        told |= {f"rule_{rule.name}": rule.place, f"rule_{rule.name}_sha256": rule.sha256}
     return told
 
 
@@ -219,7 +216,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
     info: Mapping[str, MetricInfo] | None = None,
-    rules: Sequence[object] = (),
     paper: Paper | None = None,
     about: About | None = None,
     rng: Rng = 0,
@@ -251,8 +247,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         Metrics to explore that neither file holds, such as rotation statistics.
     info : Mapping of str to MetricInfo, optional
         What metrics declare: which way each points, its bounds, label and unit (`read_table`).
-    rules : sequence of str, callable or Method
-        The lab's own screening rules, beside feel321's (`screen_raters`).
     paper : Paper, optional
         The paper that is replicated: its claims are answered first.
     about : About, optional
@@ -280,7 +274,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> results = analysis.write_report("ratings.csv", "manifest.csv", "report")  # doctest: +SKIP
     >>> print(results.headline)  # doctest: +SKIP
     """
-    chosen = Choices(draws=draws, margin=margin, seed=as_seed(rng), rules=find_rules(rules))
+    chosen = Choices(draws=draws, margin=margin, seed=as_seed(rng))
     with ResultsFolder(folder) as target, follow(progress or False, "report") as move:
         choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
         table, given = _open(ratings_path, manifest_path, **choice)

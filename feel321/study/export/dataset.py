@@ -25,7 +25,7 @@ from feel321.files import (
 )
 from feel321.records import to_json_value
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.analyze import list_info, list_labels
+from feel321.study.analyze import list_info
 from feel321.study.checkpoints import find_newest
 from feel321.study.export.narrative import METHODS_FILE, make_methods, render
 from feel321.study.folder import RATING_COLUMNS
@@ -204,10 +204,11 @@ def _write_participants(
 def _write_stimuli(study: StudyFolder, settings: Settings, folder: Path) -> None:
     """Write the vibrations and the manifest, with what its recordings are of and which are one and the same."""
     rows, columns = _read_table(study.manifest)
-    origins, labels = list_origins(settings), list_labels(settings)
+    origins = list_origins(settings)
     numbers = number_names(origins.values(), "source")
     further = {"source": {name: numbers[one] for name, one in origins.items()}}
-    further |= {str(name): dict(labels[name].fillna("")) for name in labels}
+    samples = {one.title: one.sample or "" for one in settings.recordings}
+    further |= {"sample": samples} if any(samples.values()) else {}
     added = [name for name in further if name not in columns]
     for row in rows:
         row.update({name: further[name].get(row["recording"], "") for name in added})

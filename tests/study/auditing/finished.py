@@ -40,7 +40,8 @@ practice = 0
 use = "demographics"
 [analysis]
 draws = 100
-screening = ["methods/strict.py:strict"]
+[metrics.strict]
+use = "methods/strict.py:strict"
 """
 SETTINGS += make_settings(
     "bumps",
@@ -49,15 +50,12 @@ SETTINGS += make_settings(
     session='repeats = 2\nlanguage = "texts.toml"\n',
 )
 
-RULE = '''"""A screening rule of the lab's own."""
+RULE = '''"""A metric of the lab's own."""
 
 
-def strict(rows):
+def strict(acceleration, reduced, rate_hz):
     """Measure nothing."""
-    return 0 * rows.groupby("participant")["rating"].mean()
-
-
-strict.limit = 0.5
+    return 0.5
 '''
 
 RIG = """

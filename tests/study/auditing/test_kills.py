@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 SETTINGS = make_settings("bumps", reducers=("sax321", "mag321", "dft321"), session="repeats = 2\n")
-SETTINGS += "[analysis]\ndraws = 100\nscreening = []\n"
+SETTINGS += "[analysis]\ndraws = 100\n"
 
 STATION = str(Path(__file__).parents[1] / "watch" / "station.py")
 """A session with the engine, in real time: what `run` does behind its screen."""

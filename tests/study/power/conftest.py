@@ -31,8 +31,6 @@ protocols = ["realism", "similarity"]
 [session.rehearsal]
 training = 1
 practice = 0
-[analysis]
-screening = []
 """
 
 
