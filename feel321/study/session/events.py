@@ -245,15 +245,16 @@ class Played:
 
     def __post_init__(self) -> None:
         """Take numbers of the many kinds that devices report, and none of those that are none."""
-        for one in fields(Played):
-            value = getattr(self, one.name)
-            if isinstance(value, Mapping):
-                value = {k: float(v) for k, v in value.items() if isfinite(v)}
-            elif one.name.endswith("_s"):
-                value = float(value) if value is not None and isfinite(value) else None
-            elif one.type in {"int", "bool"}:
-                value = bool(value) if one.type == "bool" else int(value)
-            object.__setattr__(self, one.name, value)
+        put = object.__setattr__  # of a frozen record, field by field: an audit reads tens of thousands
+        for name in ("requested_s", "onset_s"):
+            value = getattr(self, name)
+            put(self, name, float(value) if value is not None and isfinite(value) else None)
+        for name in ("underruns", "clipped"):
+            put(self, name, int(getattr(self, name)))
+        put(self, "completed", bool(self.completed))
+        for name in ("measured", "delivered"):
+            numbers = getattr(self, name)
+            put(self, name, {key: float(one) for key, one in numbers.items() if isfinite(one)})
 
 
 class PartEvent(AttemptEvent):
