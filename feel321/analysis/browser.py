@@ -134,23 +134,18 @@ def _render(built: StimulusSet, stamp: str) -> str:
     highest = max(one.highest_db for one in sketches.values())
     top = max(40, 10 * math.ceil(highest / 10)) if math.isfinite(highest) else 40
     octaves = math.log(CENTRES_HZ[-1] / CENTRES_HZ[0])
+    groups = ([row for row in shown if row.recording == name] for name in kept)
     return page.render_template(
         "stimuli.html",
         styles=["stimuli.css"],
         mark=MARK, stamp=stamp, sha256=built.sha256, built=shown, flags=FLAGS,
         flagged=Counter(flag for row in shown for flag in find_flags(row)),
         groups=[
-            _describe(
-                [row for row in shown if row.recording == name], sketches,
-                full_scale=full_scale, warnings=built.warnings,
-            )
-            for name in kept
+            _describe(own, sketches, full_scale=full_scale, warnings=built.warnings) for own in groups
         ],
         sentence=_summarise(built, len(kept), len(names)),
-        choices={
-            "recording": kept,
-            "reducer": list(dict.fromkeys(row.reducer for row in built)),
-            "level": list(dict.fromkeys(row.level for row in built)),
+        choices={"recording": kept} | {
+            name: list(dict.fromkeys(getattr(row, name) for row in built)) for name in ("reducer", "level")
         },
         numbers=NUMBERS,
         threshold=format_name(threshold), full_scale=f"{full_scale:g}", top=top, bottom=LOWEST_DB,
@@ -208,6 +203,7 @@ def find_flags(stimulus: Stimulus) -> list[str]:
 
 
 def _summarise(built: StimulusSet, n_shown: int, n_recordings: int) -> str:
+    """Say how many stimuli are flagged, and by what."""
     flags = [find_flags(row) for row in built]
     flagged, hit = Counter(flag for one in flags for flag in one), sum(map(bool, flags))
     counts = ", ".join(f"{flagged[name]} {FLAGS[name][1]}" for name in FLAGS if flagged[name])
@@ -228,13 +224,9 @@ def sketch(samples: Samples, rate_hz: float, *, threshold: str) -> Sketch:
     bands = _band_energies(axes, rate_hz)
     loudest = np.sqrt(bands[np.argmax((bands / limits**2).sum(axis=-1))] / (WINDOW_S * rate_hz))
     over = _to_db(loudest / limits)
-    return Sketch(
-        _draw_envelope(axes),
-        _draw_line(_to_db(loudest)),
-        float(CENTRES_HZ[over.argmax()]),
-        float(over.max()),
-        float(_to_db(loudest).max()),
-    )
+    drawn = _draw_envelope(axes), _draw_line(_to_db(loudest))
+    strongest_hz = float(CENTRES_HZ[over.argmax()])
+    return Sketch(*drawn, strongest_hz, float(over.max()), float(_to_db(loudest).max()))
 
 
 def _threshold_rms(threshold: str) -> Samples:

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.association.correlate import tabulate_correlations
-from feel321.analysis.report.answer import find_row
+from feel321.analysis.report.section import find_row
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.reading import Table, read_table

@@ -15,7 +15,7 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import Influence, find_candidates
 from feel321.analysis.report import primary
-from feel321.analysis.report.answer import find_row
+from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS

@@ -18,9 +18,8 @@ from scipy import stats
 
 import feel321.analysis.report.folder
 from feel321.analysis.page import inline_svg
-from feel321.analysis.report.answer import find_row
-from feel321.analysis.report.folder import ResultsFolder, list_files
-from feel321.analysis.report.section import make_row, make_slug
+from feel321.analysis.report.folder import list_files, write_folder
+from feel321.analysis.report.section import find_row, make_row, make_slug
 from feel321.analysis.report.write import QUESTIONS, SECTIONS, order_scales, write_report
 from feel321.analysis.table.items import Table
 from feel321.analysis.words import PLACES, format_number
@@ -257,12 +256,12 @@ def test_details_hold_every_sentence_table_and_figure(report: Path) -> None:
 def test_every_section_answers_a_question_and_has_its_english() -> None:
     assert len({section.key for section in SECTIONS}) == len(SECTIONS)
     assert {section.question for section in SECTIONS} == set(QUESTIONS) - {"paper"}
-    names = [form.name for section in SECTIONS for form in section.tables]
+    names = [name for section in SECTIONS for name in section.tables]
     assert len(names) == len(set(names))
     assert all(
         column.kind in {*PLACES, "note"}
         for one in SECTIONS
-        for form in one.tables
+        for form in one.tables.values()
         for column in form.columns
     )
 
@@ -392,8 +391,8 @@ def test_an_interrupted_report_leaves_the_former_one(report: Path, tmp_path: Pat
         raise KeyboardInterrupt
 
     content = {"files": list_files([], ["rows"])}
-    with ResultsFolder(own) as folder, pytest.raises(KeyboardInterrupt):
-        folder.write(content, page=fail, tables={"rows": pd.DataFrame({"r": [0.5]})})
+    with pytest.raises(KeyboardInterrupt):
+        write_folder(own, content, page=fail, tables={"rows": pd.DataFrame({"r": [0.5]})})
     assert {path: path.read_bytes() for path in own.rglob("*") if path.is_file()} == before
     assert list(tmp_path.iterdir()) == [own]
 

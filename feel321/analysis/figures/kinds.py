@@ -78,15 +78,11 @@ def plot_forest(
             offset = (number - (len(row.marks) - 1) / 2) * MARK_CM / ROW_CM
             _plot_mark(axes, mark, height=place + offset, limits=limits)
     axes.set(xlim=limits, ylim=(len(rows) - 0.4, -0.6))
-    axes.set_yticks(
-        range(len(rows)),
-        [
-            style.fit_text(
-                row.label, LABEL_CM if row.marks else LABEL_CM + 1, lines=2 if row.marks else 1
-            )
-            for row in rows
-        ],
-    )
+    labels = [
+        style.fit_text(row.label, LABEL_CM) if row.marks else style.fit_text(row.label, LABEL_CM + 1, lines=1)
+        for row in rows
+    ]  # fmt: skip
+    axes.set_yticks(range(len(rows)), labels)
     axes.tick_params(axis="y", length=0)
     for label, row in zip(axes.get_yticklabels(), rows, strict=True):
         label.set_fontweight("normal" if row.marks else "bold")
@@ -112,18 +108,14 @@ def _find_limits(rows: Sequence[ForestRow], include: Sequence[float]) -> tuple[f
 
 def _plot_mark(axes: Axes, mark: Mark, *, height: float, limits: tuple[float, float]) -> None:
     if np.isnan(mark.value):
-        axes.text(
-            sum(limits) / 2, height, "no estimate", ha="center", va="center", color=style.GREY
-        )
+        place: dict[str, Any] = {"ha": "center", "va": "center", "color": style.GREY}
+        axes.text(sum(limits) / 2, height, "no estimate", **place)
         return
     strokes: dict[str, Any] = {"color": mark.look.colour, "zorder": 3, "clip_on": False}
     axes.plot(np.clip((mark.low, mark.high), *limits), [height, height], linewidth=1.0, **strokes)
-    for beyond, edge, arrow in (
-        (mark.low < limits[0], limits[0], "<"),
-        (mark.high > limits[1], limits[1], ">"),
-    ):
-        if beyond:
-            axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **strokes)
+    ends = (mark.low < limits[0], limits[0], "<"), (mark.high > limits[1], limits[1], ">")
+    for edge, arrow in ((edge, arrow) for beyond, edge, arrow in ends if beyond):
+        axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **strokes)
     style.plot_marks(axes, mark.value, height, look=mark.look, filled=mark.filled, clip_on=False)
 
 
@@ -201,9 +193,8 @@ def list_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Ite
         for row in model.slopes.reset_index().to_dict("records"):
             metric = str(row["metric"])
             step = steps.get(metric, Step())
-            value, low, high = (
-                row[f"tenth{end}"] * step.size / TENTH for end in ("", "_low", "_high")
-            )
+            names = ("tenth", "tenth_low", "tenth_high")
+            value, low, high = (row[one] * step.size / TENTH for one in names)
             name = format_name(metric) + f", per {step.per}" * several
             yield ForestRow(name, (Mark(value, low, high, looks[metric], not model.fit.singular),))
 
@@ -229,34 +220,22 @@ def find_cut(metric: str) -> float:
     return CUT if is_raw else -np.inf
 
 
-def count_clipped(stimuli: DataFrame, metric: str) -> int:
-    """Count the stimuli that a scatter cannot show in their place."""
-    return int((stimuli[metric] < find_cut(metric)).sum())
-
-
 def plot_stimuli(
     axes: Axes, stimuli: DataFrame, metric: str, *, looks: Mapping[str, Look], size: float = 4.0
 ) -> dict[str, Any]:
     """Plot the mean rating of each stimulus against a metric, bars over participants; return the marks by reducer."""
-    at = stimuli[metric].clip(lower=find_cut(metric))
-    axes.vlines(
-        at, stimuli["low"], stimuli["high"], colors=style.GREY, linewidths=0.35, alpha=0.6, zorder=1
-    )
+    cut = find_cut(metric)
+    at, inside = stimuli[metric].clip(lower=cut), stimuli[metric] >= cut
+    bars: dict[str, Any] = {"colors": style.GREY, "linewidths": 0.35, "alpha": 0.6, "zorder": 1}
+    axes.vlines(at, stimuli["low"], stimuli["high"], **bars)
     shown: dict[str, Any] = {}
     for reducer in order_reducers(stimuli["reducer"]):
         own = stimuli["reducer"] == reducer
-        inside = stimuli[metric] >= find_cut(metric)
         for filled, chosen in ((False, own & ~inside), (True, own & inside)):
             if chosen.any():
-                line = style.plot_marks(
-                    axes,
-                    at[chosen],
-                    stimuli.loc[chosen, "mean"],
-                    look=looks[reducer],
-                    size=size,
-                    filled=filled,
-                )
-                shown[reducer] = line
+                look: dict[str, Any] = {"look": looks[reducer], "size": size, "filled": filled}
+                marks = style.plot_marks(axes, at[chosen], stimuli.loc[chosen, "mean"], **look)
+                shown[reducer] = marks
     axes.set_xlabel(format_axis(metric))
     return shown
 
@@ -271,20 +250,14 @@ def draw_scatters(
         figure = style.new_canvas(CELL_CM * len(panels) + AXIS_CM)
         grid = figure.subplots(len(panels), len(metrics), sharex="col", sharey=True, squeeze=False)
         for line, panel in zip(grid, panels, strict=True):
-            line[0].set_ylabel(
-                style.label_scale(panel.scale, CELL_CM - 0.4, level=panel.level * several)
-            )
+            level = panel.level * several
+            line[0].set_ylabel(style.label_scale(panel.scale, CELL_CM - 0.4, level=level))
+            found = {one.metric: one for one in panel.associations if one.method == method}
             for axes, metric in zip(line, metrics, strict=True):
                 shown |= plot_stimuli(axes, panel.stimuli, metric, looks=looks, size=4.2)
-                (one,) = (
-                    one
-                    for one in panel.associations
-                    if (one.metric, one.method) == (metric, method)
-                )
                 axes.set(ylim=(LOWEST - 3, HIGHEST + 3), yticks=np.linspace(LOWEST, HIGHEST, 5))
-                axes.set_title(
-                    f"r = {format_number(one.value)} ({format_interval(one.low, one.high)})"
-                )
+                ends = format_interval(found[metric].low, found[metric].high)
+                axes.set_title(f"r = {format_number(found[metric].value)} ({ends})")
                 axes.locator_params(axis="x", nbins=5)
                 axes.label_outer()
         for axes in grid[-1]:
@@ -330,12 +303,7 @@ def draw_residuals(models: Mapping[str, Primary]) -> Figure:
     """Draw a normal quantile plot of each model's residuals, and the residuals against the fitted values."""
     from scipy.special import ndtri
 
-    points: dict[str, Any] = {
-        "marker": "o",
-        "linestyle": "none",
-        "markersize": 2,
-        "markeredgewidth": 0,
-    }
+    points: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2, "markeredgewidth": 0}  # fmt: skip
     with style.print_style():
         figure = style.new_canvas(CELL_CM * len(models))
         grid = figure.subplots(len(models), 2, squeeze=False)
@@ -348,11 +316,8 @@ def draw_residuals(models: Mapping[str, Primary]) -> Figure:
             left.plot(ndtri((chosen + 0.5) / n), ordered[chosen], color=style.BLACK, **points)
             right.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
             right.plot(fitted[chosen], residuals[chosen], color=style.BLACK, alpha=0.4, **points)
-            left.set(
-                xlabel="Normal quantile (SD)",
-                ylabel="Residual (SD)",
-                title=style.fit_text(name, 6.0),
-            )
+            title = style.fit_text(name, 6.0)
+            left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)", title=title)
             right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
     return figure
 
@@ -373,9 +338,8 @@ def draw_profiles(
         for axes, (name, profile, people) in zip(grid.flat, parts, strict=False):
             plot_profile(axes, profile, people, looks=looks, label_cm=LABEL_CM / columns**0.5)
             axes.set_title(style.fit_text(name, 4.5))
-            axes.set_xlabel(
-                style.label_scale(str(profile["scale"].iloc[0]), style.WIDTH_CM / columns - 3)
-            )
+            scale = str(profile["scale"].iloc[0])
+            axes.set_xlabel(style.label_scale(scale, style.WIDTH_CM / columns - 3))
         for axes in grid.flat[len(parts) :]:
             axes.remove()
     return figure
@@ -399,29 +363,17 @@ def plot_profile(
     places = {key: place + 0.5 * (place >= n_tests) for place, key in enumerate(keys)}
     if 0 < n_tests < len(keys):
         axes.axhline(n_tests - 0.25, color=style.GREY, linewidth=style.THIN, linestyle=":")
+    pale: dict[str, Any] = {"color": style.GREY, "alpha": 0.6, "marker": ".", "markersize": 2}
     for (joined, _), part in people.groupby([people["role"] == ROLES[0], "participant"]):
         height = np.array([places[key] for key in zip(part["role"], part["reducer"], strict=True)])
         down, line = np.argsort(height), "-" if joined else "none"
-        axes.plot(
-            part["rating"].to_numpy()[down],
-            height[down],
-            linestyle=line,
-            color=style.GREY,
-            linewidth=0.4,
-            alpha=0.6,
-            marker=".",
-            markersize=2,
-        )
+        at = part["rating"].to_numpy()[down]
+        axes.plot(at, height[down], linestyle=line, linewidth=0.4, **pale)
     for (role, reducer), height in places.items():
         row, look = means[role, reducer], looks.get(reducer, PLAIN)
         if np.isfinite(row["low"]):
-            axes.plot(
-                [row["low"], row["high"]],
-                [height, height],
-                color=look.colour,
-                linewidth=1.2,
-                zorder=3,
-            )
+            bar: dict[str, Any] = {"color": look.colour, "linewidth": 1.2, "zorder": 3}
+            axes.plot([row["low"], row["high"]], [height, height], **bar)
         style.plot_marks(axes, row["mean"], height, look=look, size=4.5)
     labels = [
         style.fit_text(name if role == ROLES[0] else f"{name} ({role})", label_cm)
@@ -450,30 +402,20 @@ def draw_space(ellipses: Statistic, names: Sequence[str]) -> Figure:
     looks = style.assign_looks([name for name in names if name != ORIGINAL]) | {ORIGINAL: STAR}
     with style.print_style():
         figure, axes = style.new_figure(MAP_CM)
-        places = zip(
-            names, ellipses.space.positions, ellipses.half_axes, ellipses.angle, strict=True
-        )
-        for name, place, half, angle in places:
+        shapes = (names, ellipses.space.positions, ellipses.half_axes, ellipses.angle)
+        for name, place, half, angle in zip(*shapes, strict=True):
             look = looks[name]
-            axes.add_patch(
-                Ellipse(
-                    tuple(place),
-                    *(2 * half),
-                    angle=float(angle),
-                    facecolor=look.colour,
-                    alpha=0.15,
-                    linewidth=0,
-                )
-            )
+            fill: dict[str, Any] = {"facecolor": look.colour, "alpha": 0.15, "linewidth": 0}
+            axes.add_patch(Ellipse(tuple(place), *(2 * half), angle=float(angle), **fill))
             style.plot_marks(axes, place[0], place[1], look=look, size=9.0 if look == STAR else 4.5)
         unit = "rank order only" if ellipses.space.ordinal else "unit of dissimilarity"
         axes.set(xlabel=f"Dimension 1 ({unit})", ylabel=f"Dimension 2 ({unit})")
         axes.autoscale_view()
         axes.set_aspect("equal", adjustable="datalim")
         stress, people = ellipses.space.stress, ellipses.n_participants
-        style.add_title(
-            figure,
-            f"Stress-1 = {stress:.2f}; ellipses: n = {people} participants, {ellipses.draws} draws.",
+        title = (
+            f"Stress-1 = {stress:.2f}; ellipses: n = {people} participants, {ellipses.draws} draws."
         )
+        style.add_title(figure, title)
         style.add_legend(figure, style.make_handles({name: looks[name] for name in names}))
     return figure

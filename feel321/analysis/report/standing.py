@@ -83,12 +83,6 @@ class Standing:
         Every choice that differs from the frozen one, as "NAME: was ..., now ...".
     frozen_utc, sha256 : str
         When it was frozen, and the digest of ``frozen.json``; empty where nothing was.
-
-    Examples
-    --------
-    >>> from feel321.results import About
-    >>> About("pilot").standing.state
-    'none'
     """
 
     sentence: str = "No hypotheses were frozen before the data, so all results are exploratory (feel321 freeze)."
@@ -100,18 +94,7 @@ class Standing:
     sha256: str = ""
 
     def judge(self, *place: str | None) -> tuple[str, str]:
-        """Judge a slope by scale, level and metric.
-
-        Parameters
-        ----------
-        *place : str
-            Scale, level and metric.
-
-        Returns
-        -------
-        tuple of str
-            ``confirmatory`` or ``exploratory``, and why the latter.
-        """
+        """Judge a slope by scale, level and metric: ``confirmatory`` or ``exploratory``, and why the latter."""
         if self.reason:
             return EXPLORATORY, self.reason
         if place not in {one.place for one in self.hypotheses}:
@@ -119,32 +102,13 @@ class Standing:
         return CONFIRMATORY, ""
 
     def mark(self, table: str, row: Mapping[str, Any]) -> str:
-        """Mark a row of the frame.
-
-        Parameters
-        ----------
-        table : str
-            The table that it is in.
-        row : Mapping
-            The row.
-
-        Returns
-        -------
-        str
-            ``confirmatory`` or ``exploratory``.
-        """
+        """Mark a row of a table of the frame as ``confirmatory`` or ``exploratory``."""
         if table != "slopes" or row["quantity"] not in TESTED:
             return EXPLORATORY
         return self.judge(row["scale"], row["level"], row["metric"])[0]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``results.json`` holds.
-
-        Returns
-        -------
-        dict
-            The fields, with hypotheses in words.
-        """
+        """Return the fields, with hypotheses in words: what ``results.json`` holds."""
         named = ("sentence", "state", "reason", "frozen_utc", "sha256", "changes")
         told = {"hypotheses": [str(one) for one in self.hypotheses]}
         return {name: getattr(self, name) for name in named} | told
@@ -164,12 +128,6 @@ class About:
         Its protocols, in the order in which the report shows their scales.
     standing : Standing
         What was declared before the ratings.
-
-    Examples
-    --------
-    >>> from feel321.results import About
-    >>> About("pilot", "2026-03-01").date
-    '2026-03-01'
     """
 
     name: str = ""
