@@ -194,7 +194,7 @@ def list_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Ite
             metric = str(row["metric"])
             step = steps.get(metric, Step())
             names = ("tenth", "tenth_low", "tenth_high")
-            value, low, high = (row[one] * step.size / TENTH for one in names)
+            value, low, high = (row[one] * (step.size / TENTH) for one in names)
             name = format_name(metric) + f", per {step.per}" * several
             yield ForestRow(name, (Mark(value, low, high, looks[metric], not model.fit.singular),))
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.association.correlate import correlate_items, make_panel
+from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row
 from feel321.analysis.table.items import Part, make_items, split_tests
 from feel321.analysis.table.metrics import describe_explored, order_reducers
@@ -62,8 +63,8 @@ def compute(table: Table, choices: Choices) -> Found:
     found.facts["ranges"] = [
         {"metric": name, "low": min(r), "high": max(r)} for name, r in ranges.items()
     ]
-    if panels:
-        _draw(found, panels, table)
+    for slug, chosen in parts.split_front("scatter", range(len(panels))):
+        _draw(found, [panels[number] for number in chosen], table, slug=slug)
     return found
 
 
@@ -111,7 +112,7 @@ def covers_zero(one: Statistic) -> bool:
     return bool(one.low <= 0 <= one.high)
 
 
-def _draw(found: Found, panels: Sequence[Panel], table: Table) -> None:
+def _draw(found: Found, panels: Sequence[Panel], table: Table, *, slug: str) -> None:
     from feel321.analysis.figures.kinds import find_cut
     from feel321.analysis.figures.style import assign_looks
 
@@ -122,10 +123,15 @@ def _draw(found: Found, panels: Sequence[Panel], table: Table) -> None:
         for name in metrics
     ]
     says = {
-        "subjects": [one["subject"].lower() for one in found.facts["panels"]], "cut": [pair for pair in cut if pair[0]],
+        "subjects": [
+            one["subject"].lower() for one in found.facts["panels"]
+            if (one["scale"], one["level"]) in {(panel.scale, panel.level) for panel in panels}
+        ],
+        "cut": [pair for pair in cut if pair[0]],
         "method": format_method(DRAWN), "people": format_span(counts) if max(counts) >= SMALLEST else "",
     }  # fmt: skip
-    found.draw("scatter", "scatter", panels, metrics, says=says, method=DRAWN, looks=looks)
+    options: Row = {"method": DRAWN, "looks": looks, "detail": slug != "scatter"}
+    found.draw("scatter", slug, panels, metrics, says=says, **options)
 
 
 def _gather_notes(found: Iterable[Any], lead: str, *, most: int) -> Iterator[str]:

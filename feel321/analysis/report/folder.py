@@ -174,23 +174,7 @@ class PageResult(Result):
     __slots__ = ()
 
     def write(self, folder: PathLike) -> Path:
-        """Write page, numbers, tables and figures.
-
-        Parameters
-        ----------
-        folder : str or PathLike
-            The folder. The files of a former result are replaced; all others stay.
-
-        Returns
-        -------
-        Path
-            The page.
-
-        Raises
-        ------
-        OSError
-            If a file cannot be written, or would replace one that is not of a former result.
-        """
+        """Write page, numbers, tables and figures in place of those of a former result; return the page."""
         tables = self.to_frames()
         name, content, pictures, values = self._make_page(tables)
         files = list_files([picture.name for picture in pictures], tables)

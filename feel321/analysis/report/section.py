@@ -339,6 +339,16 @@ class Section:
         return found
 
 
+FRONT = 4
+"""Scales and levels that a figure of the first page shows, so that it can be read on paper; the others follow."""
+
+
+def split_front(name: str, drawn: Sequence[Anything]) -> Iterator[tuple[str, Sequence[Anything]]]:
+    """Split what is drawn into a figure for the first page and one for the details, if it takes two."""
+    pairs = ((name, drawn[:FRONT]), (f"{name}_more", drawn[FRONT:]))
+    return (pair for pair in pairs if pair[1])
+
+
 def find_table_steps(table: Table) -> dict[str, Step]:
     """Find the step of every metric of the primary analysis; one for all scales and levels."""
     tests = table.rows[table.rows["role"] == "test"].drop_duplicates("stimulus_id")

@@ -68,21 +68,11 @@ class Hypothesis:
 class Standing:
     """What was declared before the ratings, and how the analysis compares with it.
 
-    Parameters
-    ----------
-    sentence : str
-        The state in one sentence, which opens the page.
-    state : str
-        ``none``: nothing was frozen; ``before``: frozen before the first rating; ``unsound``: the file cannot be
-        trusted; ``elsewhere``: the ratings are not those of the study.
-    hypotheses : tuple of Hypothesis
-        What was declared.
-    reason : str
-        Why no result is confirmatory; empty where the declared ones are.
-    changes : tuple of str
-        Every choice that differs from the frozen one, as "NAME: was ..., now ...".
-    frozen_utc, sha256 : str
-        When it was frozen, and the digest of ``frozen.json``; empty where nothing was.
+    sentence: the state in one sentence, which opens the page. state: ``none``: nothing was frozen; ``before``: frozen
+    before the first rating; ``unsound``: the file cannot be trusted; ``elsewhere``: the ratings are not the study's.
+    hypotheses: what was declared. reason: why no result is confirmatory; empty where the declared ones are. changes:
+    every choice that differs from the frozen one, as "NAME: was ..., now ...". frozen_utc, sha256: when it was frozen,
+    and the digest of ``frozen.json``; empty where nothing was.
     """
 
     sentence: str = "No hypotheses were frozen before the data, so all results are exploratory (feel321 freeze)."
@@ -118,16 +108,8 @@ class Standing:
 class About:
     """What a report's first screen says of the study.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    date : str
-        Day of the last rating, as 2026-03-01; empty if unknown.
-    protocols : tuple of str
-        Its protocols, in the order in which the report shows their scales.
-    standing : Standing
-        What was declared before the ratings.
+    date: day of the last rating, as 2026-03-01; empty if unknown. protocols: in the order in which the report shows
+    their scales.
     """
 
     name: str = ""

@@ -79,36 +79,14 @@ SECTIONS = (
 class Results(Result):
     """A report as data.
 
-    Parameters
-    ----------
-    headline : str
-        The finding in one sentence.
-    verdicts : tuple of Mapping
-        The answer for programs: one per scale, level and metric, with verdict (``predicts``, ``open`` or
-        ``not_estimable``), direction, the units that it hinges on, and status.
-    cards : tuple of Mapping
-        What the page opens with: of every verdict the effect, the correlation and the noise ceiling.
-    numbers : DataFrame
-        Every number: table, quantity, its keys (scale, level, metric, ...), value, low, high, p, n, interval, note and
-        status.
-    answers : Mapping of str to tuple of str
-        What each section shows, in words, by its key.
-    figures, captions : Mapping of str to str
-        Caption of each figure and of each table, by file name without suffix.
-    notes, how : tuple of str
-        What was left out or assumed; how it was computed.
-    files : tuple of str
-        Every file of the report, relative to its folder: what a later report may replace.
-    simulated : bool
-        Whether any rating came from a simulated participant.
-    inputs, versions : Mapping of str to str
-        File names and digests, seed and draws; the software that computed it.
-    about : Mapping of str to str
-        Name of the study, and the day of the last rating, if known.
-    standing : Standing
-        What was declared before the ratings, and whether that makes results confirmatory.
-    path : Path
-        The report's folder.
+    headline: the finding in one sentence. verdicts: the answer for programs: one per scale, level and metric, with
+    verdict (``predicts``, ``open`` or ``not_estimable``), direction, the units that it hinges on, and status. cards: of
+    every verdict the effect, the correlation and the noise ceiling. numbers: every number: table, quantity, its keys,
+    value, low, high, p, n, interval, note and status. answers: what each section shows, in words, by its key. figures,
+    captions: caption of each figure and of each table, by file name. notes: what was left out or assumed. how: how it
+    was computed. files: every file, relative to the folder: what a later report may replace. inputs, versions: file
+    names and digests, seed and draws; software. about: name of the study, day of the last rating. standing: what was
+    declared before the ratings. path: the folder.
     """
 
     headline: str

@@ -86,16 +86,9 @@ SAME_DB = 1e-6
 class Context:
     """Where a reducer is to run, and what is good enough.
 
-    Parameters
-    ----------
-    online : bool
-        Whether the reducer runs while the vibration is being made.
-    latency_ms : float, optional
-        The longest delay online, of reducer, block and device together, in ms; 45 if left out.
-    mounting : {"any", "recorded"}
-        Whether advice must hold however the sensor is mounted, or for the mounting that was recorded.
-    tolerance_db : float
-        How far from the best is as good, in dB of energy.
+    online: whether it runs while the vibration is being made. latency_ms: the longest delay online, of reducer, block
+    and device together; 45 if left out. mounting: "any" or "recorded": what advice must hold for. tolerance_db: how far
+    from the best is as good, in dB of energy.
     """
 
     online: bool = False

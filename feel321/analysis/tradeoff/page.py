@@ -68,22 +68,10 @@ CAPTION = (
 class Tradeoff(PageResult):
     """Speed against accuracy, where reducers fail, and the simplest sufficient one for every recording.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        What was measured.
-    verdicts : DataFrame
-        Every reducer on every recording and scene: what it needs, what it fails by, whether it depends on the mounting,
-        how far it is behind the best, and whether it suffices.
-    choices : DataFrame
-        Every recording: the simplest sufficient reducer, what is wrong with the best simpler one, and what a better one
-        would gain.
-    people : DataFrame
-        What ratings say of each reducer; empty without ratings or margin.
-    context : Context
-        Where the reducer is to run, and what is good enough.
-    simulated : bool
-        Whether any of the ratings come from simulated participants.
+    frame: what was measured. verdicts: every reducer on every recording and scene: what it needs, what it fails by,
+    whether it depends on the mounting, how far it is behind the best, and whether it suffices. choices: every
+    recording: the simplest sufficient reducer, what is wrong with the best simpler one, and what a better one would
+    gain. people: what ratings say of each reducer; empty without ratings or margin.
     """
 
     frame: DataFrame
