@@ -36,14 +36,8 @@ def write(tmp_path: Path) -> Callable[..., tuple[Path, Path]]:
         )
         rows = [(name, "rec", name, "as_is", role, 0.5, 0.5) for name, role in STIMULI.items()]
         columns = [
-            "stimulus_id",
-            "recording",
-            "reducer",
-            "level",
-            "role",
-            "spectral_match",
-            "temporal_match",
-        ]
+            "stimulus_id", "recording", "reducer", "level", "role", "spectral_match", "temporal_match",
+        ]  # fmt: skip
         pd.DataFrame(rows, columns=columns).to_csv(manifest, index=False)
         return ratings, manifest
 
@@ -71,15 +65,9 @@ def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(
 ) -> None:
     table = read_table(*write(PAIRS))
     assert list_judged(table) == [
-        ("mag321", "test"),
-        ("dft321", "test"),
-        ("orig", "reference"),
-        ("dft321", "pair"),
-        ("dft321", "reference"),
-        ("anchor_low", "anchor"),
-        ("anchor_low", "anchor"),
-        ("mag321", "pair"),
-    ]
+        ("mag321", "test"), ("dft321", "test"), ("orig", "reference"), ("dft321", "pair"),
+        ("dft321", "reference"), ("anchor_low", "anchor"), ("anchor_low", "anchor"), ("mag321", "pair"),
+    ]  # fmt: skip
     assert list(table.rows["reducer"]) == list(table.rows["stimulus_id"])
     assert list(table.rows["rating"]) == [row[-1] for row in PAIRS]
 
@@ -142,13 +130,8 @@ def test_metrics_speak_only_of_what_was_judged_against_its_recording(
     pd.concat([manifest, other]).to_csv(paths[1], index=False)
     table = read_table(*paths)
     assert dict(zip(references, table.rows["matched"], strict=True)) == {
-        "surface": True,
-        "dft321": False,
-        "ghost": True,
-        "orig": True,
-        "": True,
-        "elsewhere": False,
-    }
+        "surface": True, "dft321": False, "ghost": True, "orig": True, "": True, "elsewhere": False,
+    }  # fmt: skip
     assert any("were made against a stimulus of another recording" in note for note in table.notes)
     assert [len(part.rows) for part in split_tests(table)] == [4]
     assert [len(part.rows) for part in split_tests(table, matched=False)] == [6]

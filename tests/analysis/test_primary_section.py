@@ -58,12 +58,8 @@ def plant(
     ]
     whole = pd.concat(rows, ignore_index=True)
     common = {
-        "scale": "realism",
-        "level": "as_is",
-        "role": "test",
-        "simulated": True,
-        "repeat": "1",
-    }
+        "scale": "realism", "level": "as_is", "role": "test", "simulated": True, "repeat": "1",
+    }  # fmt: skip
     return whole.assign(
         **common, source=whole["recording"], reference_id="", item=whole["stimulus_id"]
     )

@@ -289,12 +289,9 @@ def test_a_drawing_takes_the_colours_of_its_page(report: Path) -> None:
 @pytest.mark.parametrize(
     "scales",
     [
-        ("粗さ", "硬さ"),
-        ("very rough", "very-rough"),
-        ("Realism", "realism"),
-        ("x" * 300, "x" * 300 + "y"),
+        ("粗さ", "硬さ"), ("very rough", "very-rough"), ("Realism", "realism"), ("x" * 300, "x" * 300 + "y"),
     ],
-)
+)  # fmt: skip
 def test_any_names_of_scales_make_a_report(
     files: Callable[..., object], tmp_path: Path, scales: tuple[str, ...]
 ) -> None:
