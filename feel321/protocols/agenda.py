@@ -5,17 +5,12 @@ told so far, and from nothing else. A session that is resumed therefore tells an
 goes on as if it had never been interrupted.
 
 A round of training is passed if, of those answers that are not right by guessing, the share that was asked for is
-right (correction for guessing [1]_). At 75 % that lets nobody miss one of four, and one of eight where the choice is
-between two.
-
-References
-----------
-.. [1] Macmillan, N. A., & Creelman, C. D. (2005). Detection theory: A user's guide (2nd ed.), chapter 4.
-   doi:10.4324/9781410611147
+right (correction for guessing: Macmillan & Creelman 2005, chapter 4). At 75 % that lets nobody miss one of four, and
+one of eight where the choice is between two.
 """
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import groupby
 
 from feel321.protocols.tasks import measure_chance
@@ -37,8 +32,7 @@ SECONDS = 60.0
 RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done", "matching_done"})
 """Pages after which the time to the next break starts anew."""
 
-COUNTED = frozenset({"main", THRESHOLD, MATCHING})
-"""Phases whose answers are results."""
+COUNTED = frozenset({"main", THRESHOLD, MATCHING})  # phases whose answers are results
 
 
 class Agenda:
@@ -47,14 +41,10 @@ class Agenda:
     total: trials of the main phase; answered: those that have an answer that counts; given_up: those that were tried
     too often without; lost_in_a_row: attempts at trials that the device lost, up to now.
 
-    Examples
-    --------
     >>> agenda = Agenda([], Flow())
+    >>> agenda.tell_page(agenda.ask().key, time_s=2.5)
     >>> agenda.ask()
-    Page(key='welcome', least_s=0.0, by='participant')
-    >>> agenda.tell_page("welcome", time_s=2.5)
-    >>> agenda.ask().key
-    'consent'
+    Page(key='consent', least_s=0.0, by='participant')
     """
 
     def __init__(
@@ -106,7 +96,12 @@ class Agenda:
             self._failed[number, outcome] += 1
             most = MOST_LOST if outcome == LOST else self.flow.max_attempts
             if self._failed[number, outcome] < most:
-                self._steps.insert(_find_place(self._steps, trial), trial)
+                # Behind what is left of its block, else of its section, else at once.
+                left = [(n, t) for n, t in enumerate(self._steps, 1) if isinstance(t, Trial)]
+                own = (trial.phase, trial.protocol)
+                section = [(n, t.block) for n, t in left if (t.phase, t.protocol) == own]
+                block = [n for n, block in section if block == trial.block]
+                self._steps.insert(max(block or [n for n, _ in section], default=0), trial)
                 return
         if trial.phase == "training":
             self._put_first(list(self._teach(trial, understood=as_expected)))
@@ -126,10 +121,12 @@ class Agenda:
         ahead = next((step for step in self._steps if isinstance(step, Trial)), None)
         if ahead is None or ahead.phase not in COUNTED or self._steps[0] == Page("warm_up"):
             return  # Nothing is left, or the warm-up is under way.
-        own = ("practice", ahead.protocol)
-        again = [trial for trial in self._trials.values() if (trial.phase, trial.protocol) == own]
-        if again:
+        if again := self._find_trials("practice", ahead.protocol):
             self._put_first([Page("warm_up"), *again])
+
+    def _find_trials(self, phase: str, protocol: str) -> list[Trial]:
+        own = (phase, protocol)
+        return [one for one in self._trials.values() if (one.phase, one.protocol) == own]
 
     def _take(self, name: str | int) -> None:
         step = self.ask()
@@ -148,20 +145,20 @@ class Agenda:
             self._understood.append(understood)
             self._guessed += measure_chance(trial)
             yield Page("expected" if understood else "unexpected")
-        protocol = trial.protocol
-        own = ("training", protocol)
+        training = self._find_trials("training", trial.protocol)
+        numbers = {one.number for one in training}
         left = (step for step in self._steps if isinstance(step, Trial))
-        if not self._understood or any((step.phase, step.protocol) == own for step in left):
+        if not self._understood or any(step.number in numbers for step in left):
             return
         needed = self.flow.training_pass * (len(self._understood) - self._guessed)
-        self._rounds[protocol] += 1
+        self._rounds[trial.protocol] += 1
         if max(sum(self._understood) - self._guessed, 0.0) >= needed:
             yield Page("training_passed")
-        elif self._rounds[protocol] >= self.flow.training_rounds:
+        elif self._rounds[trial.protocol] >= self.flow.training_rounds:
             yield Page("training_failed", by="experimenter")
         else:
             yield Page("training_again")
-            yield from (t for t in self._trials.values() if (t.phase, t.protocol) == own)
+            yield from training
         self._understood, self._guessed = [], 0.0
 
     def _put_first(self, steps: Sequence[Page | Trial]) -> None:
@@ -172,57 +169,41 @@ class Agenda:
         self._steps.extendleft(reversed(steps))
 
 
-def _find_place(steps: Iterable[Page | Trial], trial: Trial) -> int:
-    """Find where a trial comes again: behind what is left of its block, else of its section, else at once."""
-    in_block, in_section = 0, 0
-    for place, step in enumerate(steps, start=1):
-        if isinstance(step, Trial) and (step.phase, step.protocol) == (trial.phase, trial.protocol):
-            in_section = place
-            in_block = place if step.block == trial.block else in_block
-    return in_block or in_section
-
-
 def _list_steps(
     trials: Sequence[Trial], flow: Flow, questions: Sequence[Question]
 ) -> Iterator[Page | Trial]:
     """List the steps of a session in which nothing goes wrong and no break is due."""
     yield from (Page("welcome"), Page("consent"), *list_pages(questions, "before"))
-    for block in (THRESHOLD, MATCHING):
-        yield from _list_block(block, [t for t in trials if t.protocol == block], flow)
+    for protocol in (THRESHOLD, MATCHING):
+        if own := [trial for trial in trials if trial.protocol == protocol]:
+            yield Page(f"instructions.{protocol}")
+            yield from _list_rehearsal(own, "practice")
+            counted = (trial for trial in own if trial.phase == protocol)
+            # One part after the other (frequencies).
+            for place, (_, part) in enumerate(groupby(counted, key=lambda trial: trial.block)):
+                yield Page("threshold_next", flow.break_s) if place else Page("main")
+                yield from part
+            yield Page(f"{protocol}_done", flow.rest_s)
     main = [trial for trial in trials if trial.phase == "main"]
     sections = [list(section) for _, section in groupby(main, key=lambda trial: trial.protocol)]
     rest = (*list_pages(questions, "between"), Page("rest", flow.rest_s))
     for place, section in enumerate(sections):
-        protocol = section[0].protocol
         if place:
             yield from rest
-        yield Page(f"instructions.{protocol}")
-        for phase in ("training", "practice"):
-            own = [t for t in trials if (t.protocol, t.phase) == (protocol, phase)]
-            if own:
-                yield Page(phase)
-            yield from own
+        yield Page(f"instructions.{section[0].protocol}")
+        own = [trial for trial in trials if trial.protocol == section[0].protocol]
+        yield from (*_list_rehearsal(own, "training"), *_list_rehearsal(own, "practice"))
         yield Page("main")
         half = (len(section) + 1) // 2 if len(sections) == 1 else len(section)
         yield from section[:half]
         if section[half:]:
             yield from rest
-        yield from section[half:]
+            yield from section[half:]
     yield from list_pages(questions, "after")
     yield Page("end")
 
 
-def _list_block(protocol: str, trials: Sequence[Trial], flow: Flow) -> Iterator[Page | Trial]:
-    """List the steps of a block before the tasks: practice, then one part after the other (frequencies)."""
-    if not trials:
-        return
-    practice = [trial for trial in trials if trial.phase == "practice"]
-    yield Page(f"instructions.{protocol}")
-    if practice:
-        yield Page("practice")
-    yield from practice
-    counted = groupby((t for t in trials if t.phase == protocol), key=lambda trial: trial.block)
-    for place, (_, own) in enumerate(counted):
-        yield Page("threshold_next", flow.break_s) if place else Page("main")
-        yield from own
-    yield Page(f"{protocol}_done", flow.rest_s)
+def _list_rehearsal(trials: Sequence[Trial], phase: str) -> list[Page | Trial]:
+    """List the training or practice among trials, after its page."""
+    own = [trial for trial in trials if trial.phase == phase]
+    return [Page(phase), *own] if own else []

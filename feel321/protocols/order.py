@@ -7,31 +7,21 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, groupby, pairwise
 from math import gcd
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 from feel321.doors import Registry, as_rng, check_name, describe
-from feel321.protocols.compare import count_rows, williams_row
-from feel321.protocols.tasks import PROTOCOLS, make_task
-from feel321.protocols.trial import (
-    RATING_RANGE,
-    Comparison,
-    Item,
-    Task,
-    Trial,
-    Trials,
-    ask_on_scales,
-)
+from feel321.protocols.tasks import PROTOCOLS, count_rows, make_task, williams_row
+from feel321.protocols.trial import RATING_RANGE, Comparison, Item, Task, Trial, Trials
 
 if TYPE_CHECKING:
     from numpy.random import Generator
 
     from feel321.types import Rng
 
-    Groups = Mapping[str, Sequence[Comparison]]
-    """The comparisons of each recording."""
-    Spot = tuple[str, int]
-    """A comparison, by its recording and its index there."""
+    Groups = Mapping[str, Sequence[Comparison]]  # the comparisons of each recording
+    Spot = tuple[str, int]  # a comparison, by its recording and its index there
     Blocks = tuple[tuple[Spot, ...], ...]
+    Ends = tuple[int, int]
 
 Thing = TypeVar("Thing")
 
@@ -43,17 +33,21 @@ class TaskTrials:
     task: Task
     groups: Groups
     lessons: Groups
-    places: Mapping[str, int]
 
     def draft_trial(self, spot: Spot, *, turn: int, phase: str = "main") -> Trial:
         """Make a trial of a comparison, before it has a number, a block and a repeat."""
         recording, index = spot
         task, protocol = self.task, PROTOCOLS[self.task.protocol]
         groups = self.lessons if phase == "training" else self.groups
-        turn += index + self.places[recording]
+        turn += index + list(self.groups).index(recording)
         chosen = protocol.arrange(groups[recording][index], turn)
-        names = (protocol.name, protocol.scale, task.timing, recording)
-        asked = ask_on_scales(chosen.judgements, task.scales, own=protocol.scale)
+        # Right answers are known on the protocol's own scale only.
+        asked = tuple(
+            judgement if scale == protocol.name else replace(judgement, expected=None, scale=scale)
+            for judgement in chosen.judgements
+            for scale in task.scales or (protocol.name,)
+        )
+        names = (protocol.name, protocol.name, task.timing, recording)
         return Trial(0, 0, 0, *names, chosen.parts, asked, phase, chosen.catch)
 
 
@@ -73,8 +67,11 @@ def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[Tas
                 f"{task.protocol}: no stimulus of the set is to be judged; build a set with reducers to test"
             )
         lessons = {name: protocol.make_lessons(by_recording[name], task) for name in groups}
-        places = {name: place for place, name in enumerate(groups)}
-        yield TaskTrials(task, groups, lessons, places)
+        yield TaskTrials(task, groups, lessons)
+
+
+MIXABLE = 3
+"""Fewest rows that go in a circle so that none begins with the condition that the one before ended with."""
 
 
 def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
@@ -93,24 +90,21 @@ def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) ->
     outer, inner = ({n: shuffle_rows(n, rng) for n in sorted(own)} for own in sizes)
     for turn, groups in enumerate(rounds):
         recordings, blocks, n = tuple(groups), [], len(groups)
-        for place in _take_row(n, outer[n], number, turn=turn, touching=True):
+        for place in _take_row(n, outer[n], number, turn=turn):
             own = recordings[place]
             size = len(groups[own])
-            start = place + number * _find_stride(len(inner[size]), n)
-            row = _take_row(size, inner[size], start, turn=turn, touching=n == 1)
+            rows = inner[size]
+            start = place + number * _find_stride(len(rows), n)
+            # Where successive rows do not touch, any may come next.
+            is_free = n > 1 and len(rows) < MIXABLE
+            row = _take_row(size, rows, start + turn * is_free, turn=turn)
             blocks.append(tuple((own, index) for index in row))
         yield tuple(blocks)
 
 
-MIXABLE = 3
-"""Fewest rows that go in a circle so that none begins with the condition that the one before ended with."""
-
-
-def _take_row(
-    n: int, rows: Sequence[int], start: int, *, turn: int, touching: bool
-) -> tuple[int, ...]:
-    """Take the row whose turn it is. Where successive rows touch, two conditions can only come in the same order."""
-    moves = 0 if touching and len(rows) < MIXABLE else turn
+def _take_row(n: int, rows: Sequence[int], start: int, *, turn: int) -> tuple[int, ...]:
+    """Take the row whose turn it is; two conditions whose rows touch can only come in the same order each time."""
+    moves = turn if len(rows) >= MIXABLE else 0
     return williams_row(n, rows[(start + moves) % len(rows)])
 
 
@@ -122,15 +116,12 @@ def _find_stride(n_rows: int, n_used: int) -> int:
 
 def shuffle_rows(n: int, rng: Generator) -> list[int]:
     """Shuffle the numbers of a square's rows so that no row ends with the condition that the next one begins with."""
-    middle = williams_row(n, 0)[-1]
-    ends = [(shift, (middle + shift) % n) for shift in range(n)]
-    ends += [end[::-1] for end in ends] if count_rows(n) > n else []
+    rows = [williams_row(n, number) for number in range(count_rows(n))]
     while True:
-        order: list[int] = rng.permutation(len(ends)).tolist()
+        order: list[int] = rng.permutation(len(rows)).tolist()
         # About e**-1 of all orders pass for even and e**-2 for odd n, so a few draws do.
-        if len(order) < MIXABLE or all(
-            ends[this][1] != ends[after][0] for this, after in pairwise((*order, order[0]))
-        ):
+        circle = pairwise((*order, order[0]))
+        if len(order) < MIXABLE or all(rows[one][-1] != rows[after][0] for one, after in circle):
             return order
 
 
@@ -185,11 +176,6 @@ class _Card(NamedTuple):
 def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
     """Mix all recordings anew for every participant and round.
 
-    A round, taken as a circle, is cut into as many equal stretches as it has trials in which the reference is
-    judged. Each stretch gets one, at a place drawn from those that do not touch the last. The circle is opened
-    anywhere, so that every place is as likely as any other. Then the places are filled from left to right, at
-    random from the recordings that did not come just before; a recording that would be left over takes precedence.
-
     Where the rules cannot be kept, such as with a single recording, they are broken as rarely as possible,
     for a pilot must be able to run; `find_crowding` says how often.
     """
@@ -201,7 +187,11 @@ def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> I
             for recording, comparisons in groups.items()
             for place, comparison in enumerate(comparisons)
         ]
-        unavoidable = _count_unavoidable(cards, after=last)
+        # What no order can avoid by each rule alone: n things hold at most (n + 1) / 2 of a kind apart.
+        counts = Counter(card.recording for card in cards)
+        same = max(2 * count + (name == last.recording) for name, count in counts.items())
+        spaced = 2 * sum(card.is_spaced for card in cards) + last.is_spaced
+        unavoidable = sum(max(0, doubled - 1 - len(cards)) for doubled in (same, spaced))
         best = _draw_order(cards, after=last, rng=own)
         fewest, in_vain = _count_crowding([last, *best]), 0
         while fewest > unavoidable and in_vain < PATIENCE:
@@ -213,37 +203,16 @@ def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> I
         yield (tuple((card.recording, card.place) for card in best),)
 
 
-def find_crowding(trials: Iterable[Trial]) -> list[str]:
-    """Find where a random order could not keep its rules."""
-    found = []
-    main = (trial for trial in trials if trial.block)
-    for protocol, group in groupby(main, key=lambda trial: trial.protocol):
-        pairs = list(pairwise(group))
-        if same := sum(this.recording == after.recording for this, after in pairs):
-            found.append(
-                f"{protocol}: {same} of {len(pairs) + 1} trials follow one of the same recording"
-            )
-        if touching := sum({this.catch, after.catch} <= SPACED for this, after in pairs):
-            found.append(
-                f"{protocol}: {touching} of {len(pairs) + 1} trials judge the reference right after another"
-            )
-    return found
-
-
 def _draw_order(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[_Card]:
-    left, order = list(cards), [after]
-    spaced_places = _draw_places(sum(card.is_spaced for card in cards), len(cards), rng=rng)
-    for place in range(len(cards)):
-        pool = _list_candidates(left, order[-1], is_spaced=place in spaced_places)
-        card = pool[int(rng.integers(len(pool)))]
-        left.remove(card)
-        order.append(card)
-    return order[1:]
+    """Draw an order of a round that keeps the rules if it can.
 
-
-def _draw_places(count: int, n: int, *, rng: Generator) -> set[int]:
-    """Draw a place of n for each spaced trial: one in each stretch, none next to another if there is room."""
+    The round, taken as a circle, is cut into as many equal stretches as it has trials in which the reference is
+    judged. Each stretch gets one, at a place drawn from those that do not touch the last. The circle is opened
+    anywhere, so that every place is as likely as any other. Then the places are filled from left to right, at
+    random from the recordings that did not come just before; a recording that would be left over takes precedence.
+    """
     places: list[int] = []
+    n, count = len(cards), sum(card.is_spaced for card in cards)
     for stretch in range(count):
         start, end = stretch * n // count, (stretch + 1) * n // count
         if places:
@@ -252,17 +221,20 @@ def _draw_places(count: int, n: int, *, rng: Generator) -> set[int]:
             end = max(end - 1, start + 1)  # the circle's last place touches its first
         places.append(int(rng.integers(start, end)))
     opening = int(rng.integers(n))
-    return {(place + opening) % n for place in places}
-
-
-def _list_candidates(left: Sequence[_Card], last: _Card, *, is_spaced: bool) -> list[_Card]:
-    """List what may come next, by the strictest rule that leaves anything."""
-    of_kind = [card for card in left if card.is_spaced == is_spaced]
-    fresh = [card for card in of_kind if card.recording != last.recording]
-    ((most, count),) = Counter(card.recording for card in left).most_common(1)
-    # With more than half of what is left, a recording must come at every other place from here on.
-    urgent = [card for card in fresh if card.recording == most] if count > len(left) // 2 else []
-    return urgent or fresh or [card for card in of_kind if card != last] or of_kind
+    spaced = {(place + opening) % n for place in places}
+    left, order = list(cards), [after]
+    for place in range(n):
+        last = order[-1]
+        of_kind = [card for card in left if card.is_spaced == (place in spaced)]
+        fresh = [card for card in of_kind if card.recording != last.recording]
+        # With more than half of what is left, a recording must come at every other place from here on.
+        ((most, times),) = Counter(card.recording for card in left).most_common(1)
+        is_urgent = 2 * times > len(left)
+        urgent = [card for card in fresh if is_urgent and card.recording == most]
+        pool = urgent or fresh or [card for card in of_kind if card != last] or of_kind
+        order.append(pool[int(rng.integers(len(pool)))])
+        left.remove(order[-1])
+    return order[1:]
 
 
 def _count_crowding(order: Iterable[_Card]) -> int:
@@ -273,12 +245,22 @@ def _count_crowding(order: Iterable[_Card]) -> int:
     )
 
 
-def _count_unavoidable(cards: Sequence[_Card], *, after: _Card) -> int:
-    """Count what no order can avoid by each rule alone: n things hold at most (n + 1) / 2 of a kind apart."""
-    per_recording = Counter(card.recording for card in cards)
-    same = max(2 * count + (name == after.recording) for name, count in per_recording.items())
-    spaced = 2 * sum(card.is_spaced for card in cards) + after.is_spaced
-    return sum(max(0, doubled - 1 - len(cards)) for doubled in (same, spaced))
+def find_crowding(trials: Iterable[Trial]) -> list[str]:
+    """Find where a random order could not keep its rules."""
+    found = []
+    main = (trial for trial in trials if trial.block)
+    for protocol, group in groupby(main, key=lambda trial: trial.protocol):
+        pairs = list(pairwise(group))
+        for count, what in (
+            (sum(a.recording == b.recording for a, b in pairs), "follow one of the same recording"),
+            (
+                sum({a.catch, b.catch} <= SPACED for a, b in pairs),
+                "judge the reference right after another",
+            ),
+        ):
+            if count:
+                found.append(f"{protocol}: {count} of {len(pairs) + 1} trials {what}")
+    return found
 
 
 ORDERS: Registry[Callable[..., Iterable[Blocks]]] = Registry(
@@ -385,12 +367,11 @@ def select_share(
     pile: list[str] = []
     for _ in range(number):
         hand, pile = pile[:count], pile[count:]
-        if (lacking := count - len(hand)) > 0:
-            held = set(hand)
-            fresh = sorted(_shuffle(recordings, rng), key=held.__contains__)
+        if len(hand) < count:
+            fresh = sorted(_shuffle(recordings, rng), key=set(hand).__contains__)
+            lacking = count - len(hand)
             hand, pile = hand + fresh[:lacking], fresh[lacking:]
-    own = set(hand)
-    return tuple(item for item in items if item.recording in own)
+    return tuple(item for item in items if item.recording in hand)
 
 
 TASK_ORDERS = ("fixed", "counterbalanced")
@@ -408,13 +389,11 @@ def arrange_sections(trials: Iterable[Trial], tasks: Sequence[Task]) -> Trials:
 
     What is inside a section stays as it is, so that its balance over participants does not depend on its place.
     """
-    places = {task.protocol: place for place, task in enumerate(tasks)}
-    ordered = sorted(trials, key=lambda trial: places[trial.protocol])
-    blocks = {
-        block: place for place, block in enumerate(dict.fromkeys(t.block for t in ordered), 1)
-    }
+    places = [task.protocol for task in tasks]
+    ordered = sorted(trials, key=lambda trial: places.index(trial.protocol))
+    blocks = list(dict.fromkeys(trial.block for trial in ordered))
     return Trials(
-        replace(trial, number=number, block=blocks[trial.block])
+        replace(trial, number=number, block=blocks.index(trial.block) + 1)
         for number, trial in enumerate(ordered, start=1)
     )
 
@@ -439,45 +418,33 @@ def make_rehearsal(
     Draws come from a child of `rng`, which does not move on, so that an order drawn from it stays what it is.
     """
     (own,) = rng.spawn(1)
-    drafts = (
-        draft for section in _gather_trials(items, tasks) for draft in _rehearse(section, own)
-    )
+    sections = _gather_trials(items, tasks)
+    drafts = chain.from_iterable(_rehearse(section, own) for section in sections)
     return Trials(replace(draft, number=n) for n, draft in enumerate(drafts, start=first_number))
 
 
 def _rehearse(section: TaskTrials, rng: Generator) -> Iterator[Trial]:
-    lessons = {
-        (recording, index): comparison
-        for recording, own in section.lessons.items()
-        for index, comparison in enumerate(own)
-    }
-    sides = {spot: _find_side(comparison) for spot, comparison in lessons.items()}
-    unclear = {spot for spot, comparison in lessons.items() if not _is_clear(comparison)}
+    sides: dict[Spot, str] = {}  # whether the right answer is high or low, where it is one of these
+    unclear: set[Spot] = set()  # the right answer is not known, or not obvious to anybody
+    spots = [(name, index) for name, own in section.groups.items() for index in range(len(own))]
+    lessons = [(name, index) for name, own in section.lessons.items() for index in range(len(own))]
+    for recording, index in lessons:
+        comparison = section.lessons[recording][index]
+        known = [judgement.expected for judgement in comparison.judgements if judgement.expected]
+        ends = {"high" if sum(expected) > sum(RATING_RANGE) else "low" for expected in known}
+        sides[recording, index] = ends.pop() if len(ends) == 1 else ""
+        # A page is no catch trial as a whole.
+        if not (comparison.catch or (known and len(comparison.judgements) > 1)):
+            unclear.add((recording, index))
     task = section.task
     count = task.training * (2 if PROTOCOLS[task.protocol].choices else 1)
-    training = _choose(list(lessons), count, late=unclear, sides=sides, rng=rng)
-    spots = [(name, index) for name, own in section.groups.items() for index in range(len(own))]
+    training = _choose(lessons, count, late=unclear, sides=sides, rng=rng)
     practice = _choose(spots, task.practice, late=set(training), sides={}, rng=rng)
     # Chosen alternately; shuffled, so that nobody can count on a low answer after a high one.
-    clear_first = sorted(_shuffle(training, rng), key=lambda spot: spot in unclear)
+    clear_first = sorted(_shuffle(training, rng), key=unclear.__contains__)
     for phase, chosen in {"training": clear_first, "practice": _shuffle(practice, rng)}.items():
         for spot in chosen:
             yield section.draft_trial(spot, turn=int(rng.integers(TURNS)), phase=phase)
-
-
-def _is_clear(comparison: Comparison) -> bool:
-    """Check whether the right answer is known, and obvious to anybody; a page is no catch trial as a whole."""
-    is_page = len(comparison.judgements) > 1
-    return bool(comparison.catch) or (
-        is_page and any(judgement.expected for judgement in comparison.judgements)
-    )
-
-
-def _find_side(comparison: Comparison) -> str:
-    """Find whether the right answer is high or low; empty where none is known, or both are asked for."""
-    known = [judgement.expected for judgement in comparison.judgements if judgement.expected]
-    sides = {"high" if sum(expected) > sum(RATING_RANGE) else "low" for expected in known}
-    return sides.pop() if len(sides) == 1 else ""
 
 
 def _choose(
@@ -491,24 +458,13 @@ def _choose(
     """Choose so many: none of a side that leads if there is any other, then none that is late, then by recording."""
     left = _shuffle(spots, rng)
     chosen: list[Spot] = []
-    sides_used: Counter[str] = Counter()
-    recordings_used: Counter[str] = Counter()
     while left and len(chosen) < number:
-        leading = {side for side, count in sides_used.items() if side and 2 * count > len(chosen)}
-        best = min(
-            left,
-            key=lambda spot: (sides.get(spot) in leading, spot in late, recordings_used[spot[0]]),
-        )
-        left.remove(best)
-        chosen.append(best)
-        sides_used[sides.get(best, "")] += 1
-        recordings_used[best[0]] += 1
+        used = Counter(sides.get(spot) for spot in chosen)
+        leading = {side for side, count in used.items() if side and 2 * count > len(chosen)}
+        recordings = Counter(recording for recording, _ in chosen)
+        ranks = [(sides.get(one) in leading, one in late, recordings[one[0]]) for one in left]
+        chosen.append(left.pop(ranks.index(min(ranks))))
     return chosen
-
-
-# How balanced the orders of several participants are.
-
-Ends = tuple[int, int]
 
 
 def measure_balance(groups: Iterable[Sequence[Sequence[str]]]) -> tuple[Ends, Ends]:
@@ -517,8 +473,6 @@ def measure_balance(groups: Iterable[Sequence[Sequence[str]]]) -> tuple[Ends, En
     groups: the orders of participants who had the same conditions, such as those of each recording; conditions of
     different groups could not meet. Orders that broke off are shorter.
 
-    Examples
-    --------
     >>> measure_balance([["ABDC", "BCAD", "CDBA", "DACB"]])
     ((1, 1), (1, 1))
     """
@@ -531,15 +485,13 @@ def measure_balance(groups: Iterable[Sequence[Sequence[str]]]) -> tuple[Ends, En
         most = max(map(len, orders))
         for one in conditions:
             longest[one] = max(longest.get(one, 0), most)
-            known = others.get(one)
-            others[one] = conditions if known is None else known | conditions
+            others[one] = others[one] | conditions if one in others else conditions
         places.update(spot for own in orders for spot in zip(own, range(most), strict=False))
         neighbours.update(pair for own in orders for pair in pairwise(own) if pair[0] != pair[1])
-    n_pairs = sum(len(met) - 1 for met in others.values())
-    return _find_ends(places, sum(longest.values())), _find_ends(neighbours, n_pairs)
-
-
-def _find_ends(counts: Counter[Any], size: int) -> Ends:
-    """Find the ends of counts; what never met is not among them, and counts 0."""
-    lowest = min(counts.values(), default=0) if len(counts) == size else 0
-    return lowest, max(counts.values(), default=0)
+    n_places, n_pairs = sum(longest.values()), sum(len(met) - 1 for met in others.values())
+    # What never met is not among the counts, and counts 0.
+    at, beside = list(places.values()), list(neighbours.values())
+    return (
+        (min(at, default=0) if len(at) == n_places else 0, max(at, default=0)),
+        (min(beside, default=0) if len(beside) == n_pairs else 0, max(beside, default=0)),
+    )

@@ -1,17 +1,31 @@
-"""The rating tasks: PROTOCOLS, the one list of them, their options, and how answers are scored.
+"""The rating tasks: PROTOCOLS, the one list of them, what each compares, their options, and how answers are scored.
 
-A new protocol is a `Protocol` in this module and its texts in `catalog/`; a lab's own carries its texts with it, or a
-file of texts has them. What each of ours compares is described in `compare`.
+- *Realism*: one stimulus by itself, the recording's own vibration and the anchors among them.
+- *Similarity*: a stimulus against a reference, as in Park & Kuchenbecker 2019 (doi:10.1109/WHC.2019.8816148); 100
+  points mean identical. The reference is judged against itself too; nothing is identical to the real surface, the
+  recording itself is the hidden reference there. Strict timing: Muschter et al. 2021 (doi:10.1109/TOH.2021.3077191).
+- *Dissimilarity*: all pairs of the reducers and the recording itself, for a perceptual space (Lee et al. 2022,
+  doi:10.1109/TOH.2022.3174229); 0 points mean identical. Anchors would stretch the space; they are what certainly
+  differs in training.
+- *MUSHRA*: a page with all stimuli of one recording and level arm (ITU-R BS.1534-3), unnamed among them the reference.
+- *ABX*: a and b are a stimulus and its reference, x is one of them again. 100 points mean right.
+- *Triplet*: which of a and b felt more like the reference (van der Maaten & Weinberger 2012,
+  doi:10.1109/MLSP.2012.6349720). With `reference = "every"` each stimulus is the reference in turn.
+- *Preference*: which of a and b is preferred; the recording itself is one of the stimuli.
+
+Judgements of the last two are about a, which is felt first: 100 points mean that a was chosen, 0 that b was. In catch
+trials one of the two is the recording itself and the other an anchor. In every protocol, which of two comes first
+changes with every turn, so that the mean over balanced trials has no advantage of the first.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
+from itertools import chain, combinations, islice
 from math import prod
 from typing import Any
 
 from feel321.doors import Registry, check_name
-from feel321.protocols import compare
-from feel321.protocols.compare import Comparisons, Items
 from feel321.protocols.trial import (
     FREE,
     MATCHING,
@@ -20,31 +34,341 @@ from feel321.protocols.trial import (
     SURFACE,
     THRESHOLD,
     Comparison,
+    Item,
     Judgement,
+    Part,
     Task,
     Trial,
+    select_items,
 )
 
+Items = Sequence[Item]
+Comparisons = tuple[Comparison, ...]
+Interval = tuple[float, float]
+
 LOWEST, HIGHEST = RATING_RANGE
+
+EXPECTED = {"identical": (75.0, 100.0), "hidden_reference": (55.0, 100.0), "anchor": (0.0, 50.0)}
+"""Catch trials: kind -> lowest and highest rating to expect, where 100 points mean that nothing is missing.
+
+The reference against itself is *identical*, the recording judged by itself or against the real surface a *hidden
+reference*; *anchors* should be rated 50 or lower, the better of two as well, so none needs to be known by name. No
+answer is right for both a reference and an anchor, nor are two that differ by less than 5 points, so nobody passes who
+always answers the same. Raters are screened in the analysis, by the limits of BS.1534-3 (90 points).
+"""
+
+RIGHT = (HIGHEST, HIGHEST)  # what is expected where only one answer is right
+CHOICES = FIRST, SECOND = ("a", "b")  # names of the parts of which one is chosen
+EVERY = "every"  # reference of a triplet task in which each stimulus is the reference in turn
+FEWEST = 2  # stimuli of which one can be chosen
+MUSHRA_MOST = 12  # stimuli on a page, the hidden reference and the anchors among them (BS.1534-3)
+
+
+def count_rows(n: int) -> int:
+    """Count the sequences of a Williams square of n conditions: n for even n, 2 n for odd n."""
+    if n < 1:
+        raise ValueError(f"n must be a number of conditions from 1, got {n}")
+    return 2 * n if n % 2 and n > 1 else n
+
+
+def williams_row(n: int, number: int) -> tuple[int, ...]:
+    """Make one sequence of a Williams square of n conditions; number: from 0 to `count_rows(n) - 1`.
+
+    In all sequences together each condition is at each position, and each ordered pair of conditions is adjacent,
+    once for even n and twice for odd n (Williams 1949, doi:10.1071/CH9490149). The first sequence zigzags 0, 1, n-1,
+    2, n-2, ...; the others add 1 modulo n. With odd n, the zigzag alone favours one direction of each pair, so every
+    sequence is used backwards as well.
+
+    >>> [williams_row(4, number) for number in range(count_rows(4))]
+    [(0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1)]
+    """
+    zigzag = ((place + 1) // 2 if place % 2 else -place // 2 for place in range(n))
+    row = tuple((step + number) % n for step in zigzag)
+    return row[::-1] if number >= n else row
+
+
+# What is compared with what.
+
+
+def find_reference(item: Item, items: Items, *, reference: str = ORIGINAL) -> Item:
+    """Find the reference of an item."""
+    if reference == ORIGINAL:
+        candidates = _select(items, "reference")
+    else:
+        candidates = [one for one in _select(items, "test") if one.reducer == reference]
+    # A set may render its references once, or once per level arm; the arm's own comes first.
+    own = [other for other in candidates if other.level == item.level] or candidates
+    if len(own) != 1:
+        raise ValueError(
+            f"recording {item.recording!r}, level {item.level!r} must have exactly one stimulus for the reference "
+            f"{reference!r}, got {len(own)}; build the stimulus set with it"
+        )
+    return own[0]
+
+
+def split_arms(items: Items) -> tuple[Items, ...]:
+    """Split the stimuli of a recording into its level arms: they are compared with one another inside an arm only."""
+    levels = dict.fromkeys(item.level for item in _select(items, "test"))
+    if not levels:
+        recordings = ", ".join(dict.fromkeys(repr(item.recording) for item in items)) or "unknown"
+        raise ValueError(
+            f"recording {recordings} must have at least one stimulus to test, got none; "
+            "name reducers and build the stimulus set again"
+        )
+    return tuple(select_items(items, {"level": level}) for level in levels)
+
+
+def _select(items: Items, role: str) -> list[Item]:
+    return [item for item in items if item.role == role]
+
+
+def _find_catch(item: Item, reference: Item | None) -> str:
+    """Find the kind of catch trial that a stimulus makes beside its reference; empty for none."""
+    if item == reference:
+        return "identical"
+    if item.role == "reference" and reference is None:
+        return "hidden_reference"
+    return "anchor" if item.role == "anchor" else ""
+
+
+def _feel_reference(item: Item, items: Items, task: Task) -> tuple[Item | None, Part]:
+    """Find what an item is compared with, None for the real surface, and the part in which it is felt."""
+    if task.reference == SURFACE:
+        return None, Part("reference", surface=item.recording)
+    found = find_reference(item, items, reference=task.reference)
+    return found, Part("reference", found.stimulus_id)
+
+
+def _touch_first(item: Item, task: Task) -> tuple[Part, ...]:
+    return (Part(SURFACE, surface=item.recording),) if task.surface else ()
+
+
+def _pose(
+    about: str, *parts: Part, expected: Interval | None = None, catch: str = ""
+) -> Comparison:
+    """Ask one thing: about a part, against the part that is the reference or comes first, if there is one."""
+    felt = {part.name: part.stimulus_id or SURFACE for part in parts}
+    reference = felt.get("reference", felt.get("first"))
+    return Comparison(parts, (Judgement(about, felt[about], reference, expected),), catch)
+
+
+def arrange_pair(comparison: Comparison, turn: int) -> Comparison:
+    """Let the other of two stimuli be felt first on every odd turn; a choice is about the first of them."""
+    if turn % 2 == 0:
+        return comparison
+    *before, one, other = comparison.parts
+    (asked,) = comparison.judgements
+    expected = asked.expected and (
+        asked.expected if asked.part not in CHOICES else _turn_over(asked.expected)
+    )
+    swapped = (replace(other, name=one.name), replace(one, name=other.name))
+    return _pose(asked.part, *before, *swapped, expected=expected, catch=comparison.catch)
+
+
+def _turn_over(expected: Interval) -> Interval:
+    return HIGHEST - expected[1], HIGHEST - expected[0]
+
+
+def compare_realism(items: Items, task: Task) -> Comparisons:
+    """Judge every stimulus by itself."""
+    return tuple(_pose_rating(item, None, *_touch_first(item, task)) for item in items)
+
+
+def compare_similarity(items: Items, task: Task) -> Comparisons:
+    """Compare every stimulus with its reference."""
+    return tuple(_pose_rating(item, *_feel_reference(item, items, task)) for item in items)
+
+
+def _pose_rating(item: Item, reference: Item | None, *before: Part) -> Comparison:
+    catch = _find_catch(item, reference)
+    test = Part("test", item.stimulus_id)
+    return _pose("test", *before, test, expected=EXPECTED.get(catch), catch=catch)
+
+
+def compare_dissimilarity(items: Items, _task: Task) -> Comparisons:
+    """Compare all pairs of the reducers and the original, within each level arm."""
+    comparisons = []
+    for arm in split_arms(items):
+        felt = [find_reference(arm[0], arm), *_select(arm, "test")]
+        comparisons += [_pose_difference(*pair) for pair in combinations(felt, 2)]
+        comparisons.append(_pose_difference(felt[0], felt[0], catch="identical"))
+    return tuple(comparisons)
+
+
+def teach_dissimilarity(items: Items, task: Task) -> Comparisons:
+    """Show also how the anchors differ from the original."""
+    obvious = (
+        _pose_difference(find_reference(item, arm), item, catch="anchor")
+        for arm in split_arms(items)
+        for item in _select(arm, "anchor")
+    )
+    return (*compare_dissimilarity(items, task), *obvious)
+
+
+def _pose_difference(first: Item, second: Item, *, catch: str = "") -> Comparison:
+    parts = (Part("first", first.stimulus_id), Part("second", second.stimulus_id))
+    # Points of difference, where EXPECTED holds points of likeness.
+    expected = _turn_over(EXPECTED[catch]) if catch else None
+    return _pose("second", *parts, expected=expected, catch=catch)
+
+
+def compare_mushra(items: Items, task: Task) -> Comparisons:
+    """Put each level arm of a recording on one page."""
+    pages = []
+    for arm in split_arms(items):
+        if len(arm) > MUSHRA_MOST:
+            raise ValueError(
+                f"recording {arm[0].recording!r}, level {arm[0].level!r}: a page of mushra must have at most "
+                f"{MUSHRA_MOST} stimuli with the hidden reference and the anchors, got {len(arm)}; build a set of "
+                "fewer reducers"
+            )
+        found, part = _feel_reference(arm[0], arm, task)
+        about = part.stimulus_id
+        judged = [
+            Judgement("", item.stimulus_id, about, EXPECTED.get(_find_catch(item, found)))
+            for item in arm
+        ]
+        pages.append(_fill_page(part, judged))
+    return tuple(pages)
+
+
+def arrange_mushra(comparison: Comparison, turn: int) -> Comparison:
+    """Put the stimuli of a page in the order of the row of a Williams square whose turn it is."""
+    judged = comparison.judgements
+    row = williams_row(len(judged), turn % count_rows(len(judged)))
+    return _fill_page(comparison.parts[0], (judged[place] for place in row))
+
+
+def _fill_page(reference: Part, judgements: Iterable[Judgement]) -> Comparison:
+    numbered = tuple(replace(j, part=str(place)) for place, j in enumerate(judgements, start=1))
+    parts = (Part(judgement.part, judgement.stimulus_id) for judgement in numbered)
+    return Comparison((reference, *parts), numbered)
+
+
+def compare_abx(items: Items, task: Task) -> Comparisons:
+    """Compare every stimulus of a recording with the reference of its level arm."""
+    comparisons = []
+    for arm in split_arms(items):
+        reference = find_reference(arm[0], arm, reference=task.reference)
+        for item in (item for item in arm if item != reference):
+            catch = _find_catch(item, reference)
+            expected = RIGHT if catch else None
+            judgement = Judgement("x", item.stimulus_id, reference.stimulus_id, expected)
+            comparisons.append(arrange_abx(Comparison((), (judgement,), catch), 0))
+    return tuple(comparisons)
+
+
+def teach_abx(items: Items, task: Task) -> Comparisons:
+    """Make the right answer of every comparison known: x was one of the two, however hard to distinguish."""
+    return tuple(
+        replace(c, judgements=tuple(replace(j, expected=RIGHT) for j in c.judgements))
+        for c in compare_abx(items, task)
+    )
+
+
+def arrange_abx(comparison: Comparison, turn: int) -> Comparison:
+    """Make one of the four arrangements: which stimulus is a, and which of the two comes again as x."""
+    (judgement,) = comparison.judgements
+    pair = (judgement.stimulus_id, judgement.reference_id)[:: -1 if turn % 2 else 1]
+    felt = zip((*CHOICES, "x"), (*pair, pair[turn // 2 % 2]), strict=True)
+    return replace(comparison, parts=tuple(Part(name, stimulus) for name, stimulus in felt))
+
+
+def compare_choices(items: Items, task: Task) -> Comparisons:
+    """Compare pairs of a level arm's stimuli: by preference, or by their likeness to the reference of a triplet."""
+    comparisons: list[Comparison] = []
+    for arm in split_arms(items):
+        tests = _select(arm, "test")
+        original = find_reference(arm[0], arm) if _select(arm, "reference") else None
+        felt = [original, *tests] if original else tests
+        if task.protocol == "preference":
+            rounds = [(felt, _touch_first(arm[0], task))]
+        elif task.reference == EVERY:
+            rounds = [
+                ([item for item in felt if item != one], (Part("reference", one.stimulus_id),))
+                for one in felt
+            ]
+        else:
+            found, part = _feel_reference(arm[0], arm, task)
+            rounds = [([item for item in tests if item != found], (part,))]
+            original = found or original
+        for stimuli, before in rounds:
+            comparisons += _pair_up(stimuli, task, before=before)
+        for place, anchor in enumerate(_select(arm, "anchor") if original else ()):
+            certain = Part(FIRST, original.stimulus_id if original else None)
+            parts = (*rounds[0][1], certain, Part(SECOND, anchor.stimulus_id))
+            catch = _pose(FIRST, *parts, expected=RIGHT, catch="anchor")
+            comparisons.append(arrange_pair(catch, place))
+    return tuple(comparisons)
+
+
+def _pair_up(stimuli: Items, task: Task, *, before: tuple[Part, ...]) -> Iterator[Comparison]:
+    if len(stimuli) < FEWEST:
+        raise ValueError(
+            f"a {task.protocol} must have at least two stimuli of a recording and level to choose from, got "
+            f"{len(stimuli)}; build a set of more reducers"
+        )
+    # Each recording and arm has pairs of its own, the same for every participant.
+    about = next((p.stimulus_id or SURFACE for p in before if p.name == "reference"), None)
+    key = f"{stimuli[-1].recording} {stimuli[-1].level} {about}"
+    for one, other in choose_pairs(len(stimuli), task.pairs, key=key):
+        pair = (Part(FIRST, stimuli[one].stimulus_id), Part(SECOND, stimuli[other].stimulus_id))
+        yield _pose(FIRST, *before, *pair)
+
+
+def choose_pairs(n: int, count: int | None, *, key: str) -> tuple[tuple[int, int], ...]:
+    """Choose so many of the pairs of n things, in order; all of them if there are no more.
+
+    Each thing is in equally many pairs or in one more, and chains of pairs connect all things as soon as that is
+    possible (from n - 1 pairs). The key decides which thing has which place.
+    """
+    names = sorted(range(n), key=lambda place: sha256(f"{key} {place}".encode()).digest())
+    pairs = ((names[one], names[other]) for one, other in _list_pairs(n))
+    return tuple(sorted((min(pair), max(pair)) for pair in islice(pairs, count)))
+
+
+def _list_pairs(n: int) -> Iterator[tuple[int, int]]:
+    """List all pairs, so that the first ones are spread evenly over the things.
+
+    Of an even number match by match, each thing in each match once (the circle method of tournaments; two matches in a
+    row make one circle through all things). Of an odd number circle by circle through all of them, in Walecki's way: of
+    each circle every other pair comes first, then the one with the thing that was left over, then the others.
+    """
+    last = n - 1
+    if n % 2 == 0:
+        for turn in range(last):
+            yield last, turn
+            yield from (((turn + step) % last, (turn - step) % last) for step in range(1, n // 2))
+        return
+    for turn in range(last // 2):
+        circle = [last, *((step + turn) % last for step in williams_row(last, 0))]
+        for place in (*range(0, last, 2), last, *range(1, last, 2)):
+            yield circle[place], circle[(place + 1) % n]
+
+
+def score_choice(
+    judgement: Judgement, answer: float | str, parts: Mapping[str, str | None]
+) -> float:
+    """Score a choice: 100 points where the part chosen holds the stimulus of the part that is judged."""
+    chosen = check_name(str(answer), CHOICES, "answer")
+    return HIGHEST if parts[chosen] == parts[judgement.part] else LOWEST
 
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
     """A rating task; the name is also that of its scale in the catalogue of texts.
 
-    factors: in which its trials differ. compare: makes the comparisons of all items of one recording, one trial
-    each. timings: its forms, of `TIMINGS`, the first by default. references: `original`, `surface`, `reducer` (any
-    by name); none where judgements are absolute. teach: makes the comparisons of training: those of `compare` in
-    the same order, perhaps with more known answers, then perhaps others. arrange: gives the arrangement whose turn
-    (a whole number) it is, so that successive turns balance positions within a trial. score: turns an answer, with
-    the ids of the parts by name, into 0 to 100 points. choices: parts to choose from; none where there is a slider.
-    sure_end: the end of its slider that means the same to everybody, for the simulated observer. some_pairs: whether
-    a study may ask for some of its pairs only. texts: what a lab's own carries with it: question, low_label, high_label
-    and perhaps anchors of its scale, title and text of its page of instructions. sha256: digest of a lab's own code.
+    compare: makes the comparisons of all items of one recording, one trial each. timings: its forms, the first by
+    default. references: `original`, `surface`, `reducer` (any by name), `every`; none where judgements are absolute.
+    teach: makes those of training: those of `compare` in the same order, perhaps with more known answers, then perhaps
+    others. arrange: gives the arrangement whose turn (a whole number) it is, so that successive turns balance positions
+    within a trial. score: turns an answer, with the ids of the parts by name, into 0 to 100 points. choices: parts to
+    choose from; none where there is a slider. sure_end: the end of its slider that means the same to everybody, for the
+    simulated observer. some_pairs: whether a study may ask for some of its pairs only. texts: of a lab's own: question,
+    low_label, high_label, anchors of its scale, title and text of its page. sha256: digest of a lab's own code.
     """
 
     name: str
-    factors: tuple[str, ...]
     compare: Callable[[Items, Task], Comparisons]
     timings: tuple[str, ...] = ("replay", "strict")
     references: tuple[str, ...] = ()
@@ -59,63 +383,33 @@ class Protocol:
     texts: Mapping[str, Any] = field(default_factory=dict)
     sha256: str = ""
 
-    @property
-    def scale(self) -> str:
-        """Name of its scale."""
-        return self.name
-
     def make_lessons(self, items: Items, task: Task) -> Comparisons:
         """Make the comparisons of training."""
         return (self.teach or self.compare)(items, task)
 
 
-_STIMULUS, _PAIR = ("recording", "reducer", "level"), ("recording", "pair", "level")
-_CHOICE = Protocol(
-    "preference",
-    _PAIR,
-    compare.compare_choices,
-    arrange=compare.arrange_pair,
-    score=compare.score_pair,
-    choices=compare.CHOICES,
-    some_pairs=True,
-)
+_FELT = (ORIGINAL, "reducer")
+_CHOICE = Protocol("preference", compare_choices, arrange=arrange_pair, some_pairs=True)
+_CHOICE = replace(_CHOICE, score=score_choice, choices=CHOICES)
+_ABX = replace(_CHOICE, name="abx", references=_FELT, arrange=arrange_abx, some_pairs=False)
 _ALL = (
-    Protocol("realism", _STIMULUS, compare.compare_realism),
+    Protocol("realism", compare_realism),
     Protocol(
         "similarity",
-        _STIMULUS,
-        compare.compare_similarity,
+        compare_similarity,
         references=(ORIGINAL, SURFACE, "reducer"),
         sure_end=HIGHEST,
     ),
     Protocol(
         "dissimilarity",
-        _PAIR,
-        compare.compare_dissimilarity,
+        compare_dissimilarity,
         references=(ORIGINAL,),
-        teach=compare.teach_dissimilarity,
-        arrange=compare.arrange_dissimilarity,
+        teach=teach_dissimilarity,
+        arrange=arrange_pair,
     ),
-    Protocol(
-        "mushra",
-        ("recording", "level"),
-        compare.compare_mushra,
-        timings=(FREE,),
-        references=(ORIGINAL, "reducer"),
-        arrange=compare.arrange_mushra,
-        sure_end=HIGHEST,
-    ),
-    Protocol(
-        "abx",
-        _STIMULUS,
-        compare.compare_abx,
-        references=(ORIGINAL, "reducer"),
-        teach=compare.teach_abx,
-        arrange=compare.arrange_abx,
-        score=compare.score_abx,
-        choices=compare.CHOICES,
-    ),
-    replace(_CHOICE, name="triplet", references=(ORIGINAL, SURFACE, "reducer", compare.EVERY)),
+    Protocol("mushra", compare_mushra, (FREE,), _FELT, arrange=arrange_mushra, sure_end=HIGHEST),
+    replace(_ABX, compare=compare_abx, teach=teach_abx),
+    replace(_CHOICE, name="triplet", references=(ORIGINAL, SURFACE, "reducer", EVERY)),
     _CHOICE,
 )
 PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
@@ -129,9 +423,7 @@ def digest_protocols(names: Iterable[str]) -> dict[str, str]:
 
 # The options of a task.
 
-MOST_SCALES = 4
-"""Scales of a trial: more do not fit on one screen."""
-
+MOST_SCALES = 4  # of a trial: more do not fit on one screen
 TIMES = {"gap_s": (0.0, 30.0), "answer_timeout_s": (0.5, 600.0), "onset_s": (0.5, 600.0)}
 """The shortest and the longest time of each option, in s."""
 
@@ -145,6 +437,10 @@ def make_task(  # noqa: PLR0913 - the options that a task has
     training: int = 0,
     practice: int = 0,
     pairs: int | None = None,
+    scales: Sequence[str] = (),
+    gap_s: float | None = None,
+    answer_timeout_s: float | None = None,
+    onset_s: float | None = None,
 ) -> Task:
     """Make a task of a protocol.
 
@@ -163,6 +459,11 @@ def make_task(  # noqa: PLR0913 - the options that a task has
         Number of trials with feedback, and of trials without feedback that do not count, before the first that does.
     pairs : int or None
         Number of pairs of each recording and level in a triplet or preference task, at least 1; None for all.
+    scales : sequence of str
+        The scales of each trial, the protocol's own among them; empty for that alone.
+    gap_s, answer_timeout_s, onset_s : float or None
+        Silence before each part, time for an answer, and time from the onset of a trial to that of the next, in s; None
+        for the session's silence, and for no limits.
 
     Returns
     -------
@@ -183,86 +484,67 @@ def make_task(  # noqa: PLR0913 - the options that a task has
     protocol = PROTOCOLS[check_name(name, PROTOCOLS, "protocol")]
     timing = protocol.timings[0] if timing is None else timing
     check_name(timing, protocol.timings, f"tasks.{name}.timing")
-    if reference is None:
-        reference = next(iter(protocol.references), ORIGINAL)
-    elif fault := _find_reference_fault(protocol, reference):
-        raise ValueError(f"tasks.{name}.reference must {fault}")
-    if surface and protocol.references:
-        instead = f", or set reference = {SURFACE!r}" if SURFACE in protocol.references else ""
-        raise ValueError(
-            f"tasks.{name}.surface must be false, got true: nothing is judged by itself here; leave it out{instead}"
-        )
-    if pairs is not None and not protocol.some_pairs:
-        having = " and ".join(name for name, other in PROTOCOLS.items() if other.some_pairs)
-        raise ValueError(
-            f"tasks.{name}.pairs must not be set, got {pairs}: only {having} have it; leave it out"
-        )
-    for key, count, least in (
-        ("training", training, 0),
-        ("practice", practice, 0),
-        ("pairs", pairs, 1),
-    ):
-        if count is not None and count < least:
-            raise ValueError(f"tasks.{name}.{key} must be a whole number from {least}, got {count}")
-    return Task(name, timing, reference, surface, training, practice, pairs)
-
-
-def _find_reference_fault(protocol: Protocol, reference: str) -> str:
-    if not protocol.references:
-        return f"not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
-    kind = reference if reference in {ORIGINAL, SURFACE, compare.EVERY} else "reducer"
-    if reference and kind in protocol.references:
-        return ""
-    allowed = ", ".join(protocol.references).replace("reducer", "the name of a reducer")
-    return f"be one of {allowed}; got {reference!r}"
-
-
-def refine_task(
-    task: Task,
-    *,
-    scales: Sequence[str] = (),
-    gap_s: float | None = None,
-    answer_timeout_s: float | None = None,
-    onset_s: float | None = None,
-) -> Task:
-    """Give a task several scales, or a pace of its own; `Task` says what the options mean."""
-    times = {"gap_s": gap_s, "answer_timeout_s": answer_timeout_s, "onset_s": onset_s}
-    for key, value in times.items():
-        place, (low, high) = f"tasks.{task.protocol}.{key}", TIMES[key]
-        if value is not None and not low <= value <= high:
-            raise ValueError(f"{place} must be {low:g} to {high:g}, got {value:g}")
-        if value is not None and task.timing == FREE:
-            raise ValueError(
-                f"{place} must not be set: parts are felt at will, in the participant's own time; leave it out"
-            )
-    if onset_s is not None and (task.surface or task.reference == SURFACE):
-        raise ValueError(
-            f"tasks.{task.protocol}.onset_s must not be set where the real surface is touched, which takes its own "
-            "time; leave it out"
-        )
-    asked = () if [*scales] == [PROTOCOLS[task.protocol].scale] else tuple(scales)
-    if asked and (fault := _find_scales_fault(task, asked)):
-        raise ValueError(f"tasks.{task.protocol}.scales must {fault}")
-    return replace(
-        task, scales=asked, gap_s=gap_s, answer_timeout_s=answer_timeout_s, onset_s=onset_s
+    given = next(iter(protocol.references), ORIGINAL) if reference is None else reference
+    asked = () if [*scales] == [name] else tuple(scales)
+    options = (surface, training, practice, pairs, asked, gap_s, answer_timeout_s, onset_s)
+    task = Task(name, timing, given, *options)
+    faults = chain(
+        _find_reference_faults(protocol, reference),
+        _find_option_faults(task, protocol),
+        _find_pace_faults(task),
+        _find_scale_faults(task) if asked else (),
     )
+    if fault := next(faults, ""):
+        raise ValueError(f"tasks.{name}.{fault}")
+    return task
 
 
-def _find_scales_fault(task: Task, scales: tuple[str, ...]) -> str:
-    own, got = PROTOCOLS[task.protocol].scale, f"got {list(scales)}"
+def _find_reference_faults(protocol: Protocol, reference: str | None) -> Iterator[str]:
+    able = protocol.references
+    kind = reference if reference in {ORIGINAL, SURFACE, EVERY, ""} else "reducer"
+    if reference is not None and not able:
+        yield f"reference must not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
+    elif reference is not None and kind not in able:
+        allowed = ", ".join(able).replace("reducer", "the name of a reducer")
+        yield f"reference must be one of {allowed}; got {reference!r}"
+
+
+def _find_option_faults(task: Task, protocol: Protocol) -> Iterator[str]:
+    if task.surface and protocol.references:
+        instead = f", or set reference = {SURFACE!r}" if SURFACE in protocol.references else ""
+        yield f"surface must be false, got true: nothing is judged by itself here; leave it out{instead}"
+    if task.pairs is not None and not protocol.some_pairs:
+        having = " and ".join(name for name, other in PROTOCOLS.items() if other.some_pairs)
+        yield f"pairs must not be set, got {task.pairs}: only {having} have it; leave it out"
+    for key, least in {"training": 0, "practice": 0, "pairs": 1}.items():
+        count = getattr(task, key)
+        if count is not None and count < least:
+            yield f"{key} must be a whole number from {least}, got {count}"
+
+
+def _find_pace_faults(task: Task) -> Iterator[str]:
+    for key, (low, high) in TIMES.items():
+        value = getattr(task, key)
+        if value is not None and not low <= value <= high:
+            yield f"{key} must be {low:g} to {high:g}, got {value:g}"
+        if value is not None and task.timing == FREE:
+            yield f"{key} must not be set: parts are felt at will, in the participant's own time; leave it out"
+    if task.onset_s is not None and (task.surface or task.reference == SURFACE):
+        yield "onset_s must not be set where the real surface is touched, which takes its own time; leave it out"
+
+
+def _find_scale_faults(task: Task) -> Iterator[str]:
+    own, scales, got = task.protocol, task.scales, f"got {list(task.scales)}"
     able = [name for name, one in PROTOCOLS.items() if not one.choices and FREE not in one.timings]
-    if task.protocol not in able:
-        listed = ", ".join(able)
-        return f"be left out, {got}: several scales are for tasks with one slider ({listed})"
+    if own not in able:
+        yield f"scales must be left out, {got}: several scales are for tasks with one slider ({', '.join(able)})"
     if own not in scales:
-        return f"hold {own!r}, the protocol's own, {got}; add it"
+        yield f"scales must hold {own!r}, the protocol's own, {got}; add it"
     if len(set(scales)) < len(scales) or len(scales) > MOST_SCALES:
-        return f"be at most {MOST_SCALES} names, each once, {got}; ask on fewer scales"
-    ours = {one.scale for one in PROTOCOLS.values() if not one.sha256}
-    if foreign := sorted((ours | {THRESHOLD, MATCHING}).intersection(scales) - {own}):
-        names = ", ".join(map(repr, foreign))
-        return f"not hold the scale of another task, got {names}; name one of your own"
-    return ""
+        yield f"scales must be at most {MOST_SCALES} names, each once, {got}; ask on fewer scales"
+    others = {name for name, one in PROTOCOLS.items() if not one.sha256} | {THRESHOLD, MATCHING}
+    if foreign := ", ".join(map(repr, sorted(others.intersection(scales) - {own}))):
+        yield f"scales must not hold the scale of another task, got {foreign}; name one of your own"
 
 
 # Answers.

@@ -21,7 +21,6 @@ from math import inf
 from numbers import Real
 from pathlib import Path
 from string import Formatter
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from feel321 import intake
@@ -32,15 +31,10 @@ if TYPE_CHECKING:
     from feel321.types import PathLike
 
 CATALOG = files("feel321.protocols") / "catalog"
-
-MODEL = "en"
-"""The language that every other one is compared with."""
-
-COPY_FILE = "texts.toml"
-"""A study's own texts, as `write_copy` writes them."""
-
-MOST_GUESSES = 20
-"""So many unknown texts are told what they may have meant: each takes some milliseconds."""
+MODEL = "en"  # the language that every other one is compared with
+COPY_FILE = "texts.toml"  # a study's own texts, as `write_copy` writes them
+MOST_GUESSES = 20  # unknown texts that are told what they may have meant, some milliseconds each
+WORDS = {"question": "", "low_label": "", "high_label": ""}  # what a scale of a lab's own must have
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +72,11 @@ def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
         return tomllib.loads((CATALOG / f"{language}.toml").read_text(encoding="utf-8"))
     path = Path(language)
     own, base = _parse_own(path)
-    texts = _merge(base, own)
-    known, lines = [place for place, _ in _flatten(base)], []
-    for count, (place, fault) in enumerate(find_gaps(_leave_out_own(texts), read_texts())):
-        is_unknown = place not in known and count < MOST_GUESSES
-        near = get_close_matches(place, known, n=1, cutoff=0.5) if is_unknown else []
+    texts, model = _merge(base, own), read_texts()
+    lines: list[str] = []
+    for place, fault in find_gaps(texts, _merge(model, _model_own_scales(texts, model))):
+        known = [place for place, _ in _flatten(base)] if len(lines) < MOST_GUESSES else []
+        near = [] if place in known else get_close_matches(place, known, n=1, cutoff=0.5)
         hint = f", did you mean {near[0]}?" if near else ""
         lines.append(f"{path}: {place} {fault}{hint}; compare protocols/catalog/{MODEL}.toml")
     if lines:
@@ -93,10 +87,8 @@ def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
 def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Compare the texts of a language with those of another: places, and what is wrong with them."""
     own, wanted = dict(_flatten(texts)), dict(_flatten(model))
-    for place, model_text in wanted.items():
-        if place not in own:
-            yield place, "is missing"
-        elif fault := _find_fault(place, own[place], model_text):
+    for place, words in wanted.items():
+        if fault := _find_fault(place, own[place], words) if place in own else "is missing":
             yield place, fault
     yield from ((place, "is not a known text") for place in own if place not in wanted)
 
@@ -116,34 +108,24 @@ def write_copy(language: str) -> str:
 # delete the others if you like: what this file does not say stays as it is. In study.toml, under [session]:
 # language = "{COPY_FILE}". Then: feel321 check
 language = "{language}"  # of all that is not changed here
+
 """
-    lines = (
-        line if not line or line.startswith(("[", "#")) else f"# {line}"
-        for line in source.splitlines()
-    )
-    return "\n".join([head, *lines, ""])
+    return head + re.sub(r"(?m)^(?![\[#]|$)", "# ", source)
 
 
-def _leave_out_own(texts: dict[str, Any]) -> dict[str, Any]:
-    """Leave out scales of a lab's own that have all their texts, and the pages of its own protocols."""
+def _model_own_scales(texts: dict[str, Any], model: dict[str, Any]) -> dict[str, Any]:
+    """Model what a lab's own scales may have: all their words, perhaps anchors, and the page of their protocol."""
     scales, pages = texts["scales"], texts["pages"]
-    if not isinstance(scales, dict) or not isinstance(pages, dict):
-        return texts
-    known = read_texts()["scales"]
-    model: dict[str, object] = {"question": "", "low_label": "", "high_label": ""}
-
-    def is_whole(entry: object, model: dict[str, object]) -> bool:
-        if not isinstance(entry, dict) or not model.keys() <= entry.keys() <= {*model, "anchors"}:
-            return False
-        return not any(_find_fault("", text, "") for _, text in _flatten(entry))
-
-    own = {name for name in scales if name not in known and is_whole(scales[name], model)}
-    own_pages = {f"instructions.{name}" for name in own}
-    shown = {k for k in pages if k in own_pages and is_whole(pages[k], {"title": "", "text": ""})}
-    return texts | {
-        "scales": {name: entry for name, entry in scales.items() if name not in own},
-        "pages": {key: entry for key, entry in pages.items() if key not in shown},
-    }
+    own: dict[str, Any] = {"scales": {}, "pages": {}}
+    for name in scales if isinstance(scales, dict) and isinstance(pages, dict) else ():
+        if name in model["scales"] or not isinstance(scales[name], dict) or not scales[name]:
+            continue
+        anchors = scales[name].get("anchors")
+        along = {"anchors": [""] * len(anchors)} if isinstance(anchors, list) and anchors else {}
+        own["scales"][name] = WORDS | along
+        if (page := f"instructions.{name}") in pages:
+            own["pages"][page] = {"title": "", "text": ""}
+    return own
 
 
 def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -205,26 +187,19 @@ def _list_placeholders(text: str) -> str:
 
 # Question pages.
 
-KINDS = ("choice", "number", "text", "likert")
-"""Kinds of questions."""
-
+KINDS = ("choice", "number", "text", "likert")  # of questions
 TIMES = ("before", "between", "after")
 """When a question is asked: after the consent, before each rest between trials, or at the end."""
 
-READY: Mapping[str, Mapping[str, Mapping[str, Any]]] = MappingProxyType({
+READY: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "demographics": {
         "age": {"kind": "number", "low": 5.0, "high": 120.0},
-        "gender": {"kind": "choice"},
-        "handedness": {"kind": "choice"},
-        "touch": {"kind": "choice"},
-        "experience": {"kind": "choice"},
+        **{key: {"kind": "choice"} for key in ("gender", "handedness", "touch", "experience")},
     }
-})
+}
 """Ready question pages, by name: their questions, without the texts, which every language of the catalogue holds."""
 
-PREFIX = "question."
-"""What the key of a question's page begins with; its name follows."""
-
+PREFIX = "question."  # what the key of a question's page begins with; its name follows
 LABEL = re.compile(r"[a-z][a-z0-9_]{0,39}")
 """Names of questions and of a lab's own scales: they stand in tables."""
 
@@ -240,9 +215,9 @@ Answer = float | str | None
 class Question:
     """A question page.
 
-    name: as in `answers.csv`. kind: `choice`, `number`, `text` or `likert`. options: what can be chosen; the words of a
-    Likert item's points, empty where a point has none. low, high: least and largest number, None for any. personal:
-    whether the answer is personal data, which journal and table then mark so. required: whether it must be answered.
+    name: as in `answers.csv`. options: what can be chosen; the words of a Likert item's points, empty where a point has
+    none. low, high: least and largest number, None for any. personal: whether the answer is personal data, which
+    journal and table then mark so.
     """
 
     name: str
@@ -299,53 +274,38 @@ def check_label(name: str) -> str:
 
 def check_question(question: Question) -> None:
     """Refuse a question that nobody could answer."""
-    kind, low, high = question.kind, question.low, question.high
-    options, named = question.options, [text for text in question.options if text.strip()]
-    has_options, is_number = kind in {"choice", "likert"}, kind == "number"
-    check_name(kind, KINDS, "kind")
-    check_name(question.when, TIMES, "when")
-    faults = {
-        "question must be what the participant reads, got nothing; write question = '...'": (
-            not question.question.strip()
-        ),
-        f"options must be {LEAST_OPTIONS} to {MOST_OPTIONS} texts for kind {kind!r}, got {len(options)}": (
-            has_options and not LEAST_OPTIONS <= len(options) <= MOST_OPTIONS
-        ),
-        "options must be different texts, none of them empty": (
-            kind == "choice" and len(set(named)) < len(options)
-        ),
-        "options must name both ends; set low and high, or every option": (
-            kind == "likert" and not all(text.strip() for text in (*options[:1], *options[-1:]))
-        ),
-        f"options must be left out for kind {kind!r}, got {len(options)}; remove them": (
-            not has_options and bool(options)
-        ),
-        f"low and high must not be numbers for kind {kind!r}; use kind 'number', or remove them": (
-            not is_number and (low is not None or high is not None)
-        ),
-        f"low must be below high, got {low or 0:g} and {high or 0:g}": (
-            low is not None and high is not None and low >= high
-        ),
-    }
-    if fault := next((words for words, holds in faults.items() if holds), ""):
+    if fault := next(_find_question_faults(question), ""):
         raise ValueError(fault)
+
+
+def _find_question_faults(question: Question) -> Iterator[str]:
+    kind, options, low, high = question.kind, question.options, question.low, question.high
+    has_options, n_options = kind in {"choice", "likert"}, len(options)
+    if options and not has_options:
+        yield f"options must be left out for kind {kind!r}, got {n_options}; remove them"
+    if has_options and not LEAST_OPTIONS <= n_options <= MOST_OPTIONS:
+        yield f"options must be {LEAST_OPTIONS} to {MOST_OPTIONS} texts for kind {kind!r}, got {n_options}"
+    if kind == "choice" and len({text for text in options if text.strip()}) < n_options:
+        yield "options must be different texts, none of them empty"
+    if kind == "likert" and not all(text.strip() for text in (options[0], options[-1])):
+        yield "options must name both ends; set low and high, or every option"
+    if kind != "number" and (low is not None or high is not None):
+        yield f"low and high must not be numbers for kind {kind!r}; use kind 'number', or remove them"
+    if low is not None and high is not None and low >= high:
+        yield f"low must be below high, got {low:g} and {high:g}"
 
 
 def read_ready(name: str, texts: Mapping[str, Any], *, when: str = TIMES[0]) -> list[Question]:
     """Read the questions of a ready page, which are personal and may be left open; texts: all of a language."""
     own = texts["questions"][check_name(name, READY, "use")]
-    return [
-        Question(
-            key,
-            question=own[key]["question"],
-            options=tuple(own[key].get("options", ())),
-            when=when,
-            personal=True,
-            required=False,
-            **facts,
+    asked: dict[str, Any] = {"when": when, "personal": True, "required": False}
+    found = []
+    for key, facts in READY[name].items():
+        options = tuple(own[key].get("options", ()))
+        found.append(
+            Question(key, question=own[key]["question"], options=options, **facts, **asked)
         )
-        for key, facts in READY[name].items()
-    ]
+    return found
 
 
 def list_pages(questions: Iterable[Question], when: str) -> list[Page]:

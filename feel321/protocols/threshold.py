@@ -1,10 +1,11 @@
 """Blocks before the trials that are rated: detection thresholds, and strength matched by the participant.
 
-Threshold, by two-alternative forced choice: of two intervals one holds the vibration; the participant says which. Plan
-and agenda know how many trials there are, as of any task. Which interval vibrates, and how strongly, follows from the
-answers that counted so far, by a staircase or a Bayesian procedure: `next` gives the trial to present (None when all
-are done), `update` takes the interval that was answered, and nothing else moves them. A trial that was rejected is
-presented alike when it comes again, and a session that is resumed goes on with the same sequence.
+Threshold, by two-alternative forced choice: of two intervals one holds the vibration; the participant says which. Which
+one vibrates, and how strongly, follows from the answers that counted so far, by a staircase (Levitt 1971,
+doi:10.1121/1.1912375) or a Bayesian procedure (Kontsevich & Tyler 1999, doi:10.1016/S0042-6989(98)00285-5; Watson
+2017, doi:10.1167/17.3.10): `next` gives the trial to present, `update` takes the interval that was answered, and
+nothing else moves them. A trial that was rejected is presented alike when it comes again, and a session that is resumed
+goes on with the same sequence.
 
 The threshold is the level at which a share of 2^(-1/n_down) of the answers is correct, lapses included: 79.4 % for the
 usual three down, one up. Levels are in dB relative to whatever the caller's levels are relative to. The psychometric
@@ -20,15 +21,6 @@ until the second is as strong as the first. The marker moves the level of the se
 that is drawn for each trial, so that its place tells nothing. Both are played `ATTENUATION_DB` weaker than in the
 study, which leaves room for the strongest second. The recording is matched with itself too: what is not 0 dB there is
 how participants use the marker, and the error of time of the second interval.
-
-References
-----------
-.. [1] Levitt, H. (1971). Transformed up-down methods in psychoacoustics. Journal of the Acoustical Society of America,
-   49, 467-477. doi:10.1121/1.1912375
-.. [2] Kontsevich, L. L., & Tyler, C. W. (1999). Bayesian adaptive estimation of psychometric slope and threshold.
-   Vision Research, 39, 2729-2737. doi:10.1016/S0042-6989(98)00285-5
-.. [3] Watson, A. B. (2017). QUEST+: A general multidimensional Bayesian adaptive psychometric method. Journal of
-   Vision, 17(3):10. doi:10.1167/17.3.10
 """
 
 from __future__ import annotations
@@ -39,16 +31,14 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from feel321.doors import Registry, as_rng, describe
-from feel321.protocols.compare import find_reference
+from feel321.doors import as_rng, check_name, describe
+from feel321.protocols.tasks import find_reference
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Item, Judgement, Part, Trial
 
 if TYPE_CHECKING:
     from feel321.types import Samples
 
-GUESS = 0.5
-"""Share of correct answers without any vibration."""
-
+GUESS = 0.5  # share of correct answers without any vibration
 SLOPES = (1.0, 8.0, 16)
 """Weibull slopes thought possible: lowest, highest, number; all equally likely, in equal steps of the logarithm."""
 
@@ -61,11 +51,8 @@ THRESHOLD_STEP_DB, LEVEL_STEP_DB = 0.5, 1.0
 DESCENT = 2
 """Correct answers in a row before a staircase goes down, until the first wrong one: one would dive on lucky guesses."""
 
-MOST_DB = 200
-"""Widest range of levels."""
-
-UNLIKELY = 0.05
-"""Probability under guessing below which answers are remarked on."""
+MOST_DB = 200  # widest range of levels
+UNLIKELY = 0.05  # probability under guessing below which answers are remarked on
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +94,7 @@ class ThresholdPlan:
 
     @property
     def proportion(self) -> float:
-        """Share of correct answers at the threshold, 2^(-1/n_down) [1]_."""
+        """Share of correct answers at the threshold, 2^(-1/n_down)."""
         return math.pow(0.5, 1 / self.n_down)
 
     @property
@@ -116,7 +103,7 @@ class ThresholdPlan:
         return self.trials + (self.trials // self.catch_every if self.catch_every else 0)
 
 
-USUAL = ThresholdPlan(lowest_db=-60.0, highest_db=0.0, start_db=-5.0, trials=60, catch_every=10)
+USUAL = ThresholdPlan(lowest_db=-60.0, highest_db=0.0, start_db=-5.0)
 """Settings for vibrations of 20 to 300 Hz at the hand, in dB relative to 1 m/s² RMS."""
 
 
@@ -160,23 +147,33 @@ def predict_correct(
 
     height = 1 - GUESS - (plan.lapse if lapse is None else lapse)
     scale = -math.log1p(-(plan.proportion - GUESS) / height)
-    chances: Samples = GUESS - height * np.expm1(
-        -scale * np.power(10.0, slope * (level_db - threshold_db) / 20)
-    )
+    rise = -scale * np.power(10.0, slope * (level_db - threshold_db) / 20)
+    chances: Samples = GUESS - height * np.expm1(rise)
     return chances
 
 
+PROCEDURES = ("staircase", "bayesian")
+"""Names of procedures.
+
+*Staircase*, transformed up-down: down after `n_down` correct answers in a row, up after each wrong one. The estimate is
+the mean of the levels at reversals made with the last step, an even number of them; slope and intervals are those of
+the posterior given all answers, for reversals depend on each other, and hold no slope. *Bayesian*: posterior of
+threshold and slope, each level chosen for the least expected entropy after its answer.
+"""
+
+
 class Procedure:
-    """Ask/tell form of both procedures: the trials' order, what was answered, and the posterior given that."""
+    """A measurement as ask/tell: the trials' order, what was answered, and the posterior given that."""
 
-    name = ""
-
-    def __init__(self, plan: ThresholdPlan) -> None:
+    def __init__(self, name: str, plan: ThresholdPlan) -> None:
         import numpy as np
 
+        self.is_staircase = check_name(name, PROCEDURES, "procedure") == "staircase"
         self.plan = plan
         self.shown: list[Presentation] = []
         self.answers: list[int] = []
+        self.reversals: list[float] = []
+        self._level, self._run, self._direction = plan.start_db, 0, 0
         self.weights = np.ones_like(_predict_grid(plan, plan.start_db))
         self.weights /= self.weights.sum()
         # Each trial's interval, and whether it is a catch trial.
@@ -195,7 +192,10 @@ class Procedure:
         if not self.left:
             return None
         interval, silent = self._order[len(self.answers)]
-        return Presentation(interval, None if silent else self._choose_level())
+        if silent:
+            return Presentation(interval, None)
+        level_db = self._level if self.is_staircase else _choose_level(self.plan, self.weights)
+        return Presentation(interval, level_db)
 
     def update(self, answer: int) -> None:
         """Take the answered interval, 1 or 2, of the trial that `next` gives."""
@@ -211,71 +211,30 @@ class Procedure:
             chances = _predict_grid(self.plan, trial.level_db)
             weights = self.weights * (chances if correct else 1 - chances)
             self.weights = weights / weights.sum()
-            self._learn(trial.level_db, correct=correct)
+            self._step(trial.level_db, correct=correct)
 
-    def _choose_level(self) -> float:
-        raise NotImplementedError
-
-    def _learn(self, level_db: float, *, correct: bool) -> None:
-        """Take an answer to a vibration, beyond what the posterior does."""
-
-
-class Staircase(Procedure):
-    """Transformed up-down staircase [1]_: down after `n_down` correct answers in a row, up after each wrong one.
-
-    The estimate is the mean of the levels at reversals made with the last step, an even number of them. Slope and
-    intervals are those of the posterior given all answers, as in the Bayesian procedure: reversals depend on each
-    other, and hold no slope.
-    """
-
-    name = "staircase"
-
-    def __init__(self, plan: ThresholdPlan) -> None:
-        super().__init__(plan)
-        self.reversals: list[float] = []
-        self._level, self._run, self._direction = plan.start_db, 0, 0
-
-    def _choose_level(self) -> float:
-        return self._level
-
-    def _learn(self, level_db: float, *, correct: bool) -> None:
-        self._run = self._run + 1 if correct else 0
+    def _step(self, level_db: float, *, correct: bool) -> None:
+        """Move the level of a staircase."""
+        plan, self._run = self.plan, self._run + 1 if correct else 0
         descending = not self.reversals and self._direction <= 0
-        if correct and self._run < (DESCENT if descending else self.plan.n_down):
+        if correct and self._run < (DESCENT if descending else plan.n_down):
             return
         self._run, direction = 0, -1 if correct else 1
         if direction == -self._direction:
             self.reversals.append(level_db)
-        step = self.plan.steps_db[min(len(self.reversals), len(self.plan.steps_db) - 1)]
-        moved = level_db + direction * step
-        self._level = min(max(moved, self.plan.lowest_db), self.plan.highest_db)
+        step = plan.steps_db[min(len(self.reversals), len(plan.steps_db) - 1)]
+        self._level = min(max(level_db + direction * step, plan.lowest_db), plan.highest_db)
         self._direction = direction
 
 
-class Bayesian(Procedure):
-    """Posterior of threshold and slope [2]_, [3]_, each level chosen for the least expected entropy after its answer.
+def _choose_level(plan: ThresholdPlan, weights: Samples) -> float:
+    """Choose the level with the greatest mutual information of answer and parameters, h(E[P]) - E[h(P)].
 
-    The expected loss of entropy equals the mutual information of answer and parameters, h(E[P]) - E[h(P)] with the
-    binary entropy h. It is rounded before levels are compared, so that another processor's last bit changes nothing.
+    It is the expected loss of entropy; rounded, so that another processor's last bit changes nothing.
     """
-
-    name = "bayesian"
-
-    def __init__(self, plan: ThresholdPlan) -> None:
-        super().__init__(plan)
-        self._levels, self._chances, self._entropies = _make_tables(replace(plan, seed=0))
-
-    def _choose_level(self) -> float:
-        weights = self.weights.ravel()
-        expected = _binary_entropy(self._chances @ weights)
-        gained = expected - self._entropies @ weights
-        return float(self._levels[gained.round(9).argmax()])
-
-
-PROCEDURES: Registry[type[Procedure]] = Registry(
-    "procedure", {one.name: one for one in (Staircase, Bayesian)}
-)
-"""Procedures by name."""
+    levels, chances, entropies = _make_tables(replace(plan, seed=0))
+    gained = _binary_entropy(chances @ weights.ravel()) - entropies @ weights.ravel()
+    return float(levels[gained.round(9).argmax()])
 
 
 def estimate_threshold(procedure: Procedure) -> ThresholdEstimate:
@@ -285,7 +244,7 @@ def estimate_threshold(procedure: Procedure) -> ThresholdEstimate:
     silent = [one.interval == got for one, got in answered if one.level_db is None]
     thresholds, slopes = _make_grid(plan)
     mean, low, high = _summarise(thresholds[:, 0], procedure.weights.sum(axis=1))
-    if isinstance(procedure, Staircase):
+    if procedure.is_staircase:
         # As many peaks as valleys, all with the last step.
         late = procedure.reversals[len(plan.steps_db) - 1 :]
         late = late[len(late) % 2 :]
@@ -378,9 +337,7 @@ ASKED = "test"
 class ThresholdBlock:
     """The settings of a threshold block; frequencies are measured one after the other, in this order.
 
-    plan: of each of them, but for its seed. duration_s: of each interval. gap_s: silence before each interval.
-    practice: trials at the starting level that do not count. seeds: one per frequency; none before a participant is
-    planned.
+    plan: of each of them, but for its seed. seeds: one per frequency; none before a participant is planned.
     """
 
     procedure: str
@@ -412,13 +369,12 @@ def make_block(block: ThresholdBlock, *, first_number: int) -> Iterator[Trial]:
     turns = [(0, "practice")] * block.practice
     for place in range(len(block.frequencies_hz)):
         turns += [(place, THRESHOLD)] * block.plan.presentations
+    names = (THRESHOLD, THRESHOLD, "strict")
     for number, (place, phase) in enumerate(turns, start=first_number):
         tone = name_tone(block.frequencies_hz[place])
         parts, judged = tuple(Part(name, tone) for name in INTERVALS), (Judgement(ASKED, tone),)
         own = place + 1 if phase == THRESHOLD else 0
-        yield Trial(
-            number, own, 0, THRESHOLD, THRESHOLD, "strict", tone, parts, judged, phase=phase
-        )
+        yield Trial(number, own, 0, *names, tone, parts, judged, phase=phase)
 
 
 class Detection:
@@ -427,7 +383,7 @@ class Detection:
     def __init__(self, block: ThresholdBlock) -> None:
         self.block = block
         self._procedures = {
-            frequency: PROCEDURES.find(block.procedure)(replace(block.plan, seed=seed))
+            frequency: Procedure(block.procedure, replace(block.plan, seed=seed))
             for frequency, seed in zip(block.frequencies_hz, block.seeds, strict=True)
         }
 
@@ -461,12 +417,8 @@ class Detection:
 # The matching block.
 
 DB_PER_POINT = 0.15
-MOST_START_DB = 4.5
-"""The second begins up to so much weaker or stronger than as it is in the study."""
-
-MIDDLE = sum(RATING_RANGE) / 2
-"""Marker that leaves the second as it was at first."""
-
+MOST_START_DB = 4.5  # the second begins up to so much weaker or stronger than in the study
+MIDDLE = sum(RATING_RANGE) / 2  # marker that leaves the second as it was at first
 ATTENUATION_DB = MOST_START_DB + DB_PER_POINT * (RATING_RANGE[1] - MIDDLE)
 
 
@@ -491,8 +443,15 @@ def draw_matching(
 
     if block is None:
         return None, ()
+    pairs: list[tuple[Item, Item]] = []
+    for recording in dict.fromkeys(item.recording for item in items):
+        own = [item for item in items if item.recording == recording]
+        tests = [item for item in own if (item.role, item.level) == ("test", block.level)]
+        if tests:
+            reference = find_reference(tests[0], own)
+            seconds = [item for item in (reference, *tests) for _ in range(block.repeats)]
+            pairs += [(reference, second) for second in seconds]
     rng = np.random.default_rng(key)
-    pairs = [pair for pair in _list_pairs(block, items) for _ in range(block.repeats)]
     order = rng.permutation(len(pairs)).tolist()
     starts = rng.uniform(-MOST_START_DB, MOST_START_DB, len(pairs)).round(2)
     trials = []
@@ -503,16 +462,6 @@ def draw_matching(
         names = (MATCHING, MATCHING, "replay", second.recording)
         trials.append(Trial(number, 1, 0, *names, parts, judged, phase=MATCHING))
     return replace(block, starts_db=tuple(starts.tolist())), tuple(trials)
-
-
-def _list_pairs(block: MatchingBlock, items: Sequence[Item]) -> Iterator[tuple[Item, Item]]:
-    """List reference and stimulus of every pair, the reference with itself among them."""
-    for recording in dict.fromkeys(item.recording for item in items):
-        own = [item for item in items if item.recording == recording]
-        tests = [item for item in own if (item.role, item.level) == ("test", block.level)]
-        if tests:
-            reference = find_reference(tests[0], own)
-            yield from ((reference, item) for item in (reference, *tests))
 
 
 class Matching:

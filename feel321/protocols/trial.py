@@ -5,7 +5,8 @@ A trial names its stimuli by id; what an id feels like is known to the room abov
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import islice, product
 from math import prod
 from typing import TYPE_CHECKING
 
@@ -14,24 +15,16 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-RATING_RANGE = (0.0, 100.0)
-"""Lowest and highest rating of every scale, in points."""
+RATING_RANGE = (0.0, 100.0)  # lowest and highest rating of every scale, in points
 
 FREE = "free"
 TIMINGS = ("strict", "replay", FREE)
 """How the parts of a trial are felt: once in order; in order and again at will; at will from the start."""
 
-SURFACE = "surface"
-"""Stands for the id of a stimulus where the real surface is felt."""
-
-ORIGINAL = "original"
-"""Name of the recording itself as a reference."""
-
-MATCHING = "matching"
-"""Protocol, scale and phase of the trials of a matching block (`protocols.threshold`)."""
-
-THRESHOLD = "threshold"
-"""Protocol, scale and phase of the trials of a threshold block; its practice has the phase of all practice."""
+SURFACE = "surface"  # stands for the id of a stimulus where the real surface is felt
+ORIGINAL = "original"  # name of the recording itself as a reference
+MATCHING, THRESHOLD = "matching", "threshold"
+"""Protocol, scale and phase of the trials of a block of `protocols.threshold`, besides its practice."""
 
 DEVICE_FLAGS = ("underrun", "clipped", "device_error", "not_delivered")
 FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")
@@ -52,8 +45,8 @@ or for the experimenter after a failure of the device, and change nothing about 
 class Scale:
     """The scale of an answer: a slider from 0 to 100 points, or a choice between parts.
 
-    name: as in `ratings.csv`. anchors: words along the slider, evenly spaced; may be none. choices: names of the parts
-    to choose from; none where there is a slider. further: the other scales of a trial that asks for several.
+    anchors: words along the slider, evenly spaced. choices: names of the parts to choose from; none where there is a
+    slider. further: the other scales of a trial that asks for several.
     """
 
     name: str
@@ -117,8 +110,7 @@ class Judgement:
     """One answer that a trial asks for; it becomes one row of `ratings.csv`.
 
     reference_id: a stimulus, `surface`, or None where the judgement is absolute. expected: lowest and highest
-    rating of a participant who has understood the task; None where any rating will do. scale: where it is not that of
-    the trial.
+    rating of a participant who has understood the task; None where any will do. scale: where it is not the trial's.
     """
 
     part: str
@@ -131,17 +123,6 @@ class Judgement:
     def key(self) -> str:
         """What names its answer: the part, and the scale where it is not that of the trial."""
         return f"{self.part}:{self.scale}" if self.scale else self.part
-
-
-def ask_on_scales(
-    judgements: Sequence[Judgement], scales: Sequence[str], *, own: str
-) -> tuple[Judgement, ...]:
-    """Ask for every judgement on several scales; right answers are known on the protocol's own only."""
-    return tuple(
-        judgement if scale == own else replace(judgement, expected=None, scale=scale)
-        for judgement in judgements
-        for scale in scales or (own,)
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,8 +144,7 @@ class Trial:
     number: in the plan; trials of the main phase are numbered from 1 in their order, others follow. block: from 1; 0 in
     training and practice. repeat: round of this comparison within its protocol, from 1; 0 outside the main phase.
     timing: of `TIMINGS`. parts: in order; each must be felt to its end before an answer is taken. phase: `training`,
-    `practice`, `threshold`, `matching` or `main`; only trials of the main phase become ratings. catch: as in
-    `Comparison`.
+    `practice`, `threshold`, `matching` or `main`; only trials of the main phase become ratings.
     """
 
     number: int
@@ -195,16 +175,15 @@ class Trials(tuple[Trial, ...]):
         import pandas as pd
 
         own = ["number", "phase", "block", "repeat", "protocol", "scale", "timing", "recording"]
-        of_trial = [*own, "catch"]
-        of_judgement = ["part", "stimulus_id", "reference_id"]
+        judged = ["part", "stimulus_id", "reference_id"]
         rows = [
-            {name: getattr(trial, name) for name in of_trial}
-            | {name: getattr(judgement, name) for name in of_judgement}
+            {name: getattr(trial, name) for name in (*own, "catch")}
+            | {name: getattr(judgement, name) for name in judged}
             | {"scale": judgement.scale or trial.scale}
             for trial in self
             for judgement in trial.judgements
         ]
-        return pd.DataFrame(rows, columns=[*of_trial, *of_judgement])
+        return pd.DataFrame(rows, columns=[*own, "catch", *judged])
 
     def __repr__(self) -> str:
         """Describe the trials in one line."""
@@ -244,8 +223,8 @@ class Flow:
 class Page:
     """A page to read, during which nothing is felt.
 
-    key: its text in the catalogue; least_s: shortest time, in s, that it is shown;
-    by: whose key ends it, `participant` or `experimenter`.
+    key: its text in the catalogue; least_s: shortest time, in s, that it is shown; by: whose key ends it,
+    `participant` or `experimenter`.
     """
 
     key: str
@@ -278,22 +257,17 @@ class Task:
     onset_s: float | None = None
 
 
-# Factors in which participants differ, and the stimuli and tasks of each group.
-
 CHOOSING = ("level", "protocol")
-"""Factors that decide which stimuli or tasks a participant has; any other is a label."""
+"""Factors between participants that decide which stimuli or tasks they have; any other is a label."""
 
 
 def place_in_groups(
     between: Mapping[str, Sequence[str]], number: int
 ) -> tuple[dict[str, str], int]:
     """Find the group of participant `number` (from 1), and the participant's number within it (from 1)."""
-    place, turn = divmod(number - 1, prod(len(levels) for levels in between.values()))
-    groups: dict[str, str] = {}
-    for factor, levels in reversed(list(between.items())):  # the last factor changes fastest
-        turn, level = divmod(turn, len(levels))
-        groups[factor] = levels[level]
-    return {factor: groups[factor] for factor in between}, place + 1
+    place, turn = divmod(number - 1, prod(map(len, between.values())))
+    levels = next(islice(product(*between.values()), turn, None))  # the last factor changes fastest
+    return dict(zip(between, levels, strict=True)), place + 1
 
 
 def select_items(items: Sequence[Item], groups: Mapping[str, str]) -> tuple[Item, ...]:

@@ -30,7 +30,7 @@ from feel321.protocols.trial import (
 
 if TYPE_CHECKING:
     from feel321.extensions import Method
-    from feel321.protocols.compare import Comparisons, Items
+    from feel321.protocols.tasks import Comparisons, Items
     from feel321.protocols.trial import Task
 
 OURS = tuple(name for name, one in PROTOCOLS.items() if not one.sha256)
@@ -38,7 +38,6 @@ OURS = tuple(name for name, one in PROTOCOLS.items() if not one.sha256)
 
 WORDS = ("question", "low_label", "high_label")
 PAGE = ("title", "text")
-FACTORS = ("recording", "reducer", "level", "pair")
 CATCHES = ("", "identical", "hidden_reference", "anchor")
 
 
@@ -129,7 +128,6 @@ def _find_protocol_faults(found: Protocol, name: str) -> Iterator[str]:
         yield f"its Protocol is named {found.name!r}; the two must be the same, rename one"
     for what, names, allowed in (
         ("timings", found.timings, TIMINGS),
-        ("factors", found.factors, FACTORS),
         ("sure_end", (found.sure_end,), RATING_RANGE),
     ):
         if not isinstance(names, tuple) or not names or not {*names} <= {*allowed}:

@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 from feel321.doors import announce
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
-from feel321.protocols.compare import count_rows
 from feel321.protocols.order import TASK_ORDERS, measure_balance
-from feel321.protocols.tasks import find_other, is_as_expected
+from feel321.protocols.tasks import count_rows, find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import minutes, people

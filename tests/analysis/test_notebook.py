@@ -178,7 +178,7 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
 def test_names_of_other_packages_are_repeated_rightly() -> None:
     assert schema.PLANNED == PLANNED
     assert schema.SURFACE == SURFACE
-    scales = {protocol.scale for protocol in PROTOCOLS.values()}
+    scales = set(PROTOCOLS)
     assert set(schema.APART) <= scales
 
 

@@ -59,7 +59,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
 def test_every_task_loads(lab: StudyFolder) -> None:
     table = read_table(lab.ratings, lab.manifest)
     assert len(table.rows) == len(pd.read_csv(lab.ratings))
-    assert set(table.rows["scale"]) == {protocol.scale for protocol in PROTOCOLS.values()}
+    assert set(table.rows["scale"]) == set(PROTOCOLS)
     counts = table.rows.groupby(["scale", "role"]).size()
     # Three people, two recordings, three reducers.
     assert counts["realism"].to_dict() == {"anchor": 12, "reference": 6, "test": 18}

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.protocols.compare import count_rows, williams_row
 from feel321.protocols.order import measure_balance, select_share
+from feel321.protocols.tasks import count_rows, williams_row
 from feel321.protocols.trial import Item
 
 letters = st.lists(st.text("ABCDE", max_size=8), min_size=1, max_size=6)

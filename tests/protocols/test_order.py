@@ -10,9 +10,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from feel321.protocols.compare import count_rows, williams_row
 from feel321.protocols.order import ORDERS, find_crowding, make_order, shuffle_rows
-from feel321.protocols.tasks import PROTOCOLS, find_other, make_task
+from feel321.protocols.tasks import PROTOCOLS, count_rows, find_other, make_task, williams_row
 from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:

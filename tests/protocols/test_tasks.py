@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from feel321.protocols.order import make_order, make_rehearsal
-from feel321.protocols.tasks import is_as_expected, make_task, refine_task, score_trial
+from feel321.protocols.tasks import is_as_expected, make_task, score_trial
 from feel321.protocols.trial import Item, place_in_groups, select_group, select_items
 
 ITEMS = [
@@ -78,19 +78,19 @@ def test_scales_and_paces_that_a_task_has_not_are_refused(
     name: str, options: dict[str, Any], message: str
 ) -> None:
     with pytest.raises(ValueError, match=re.escape(message)):
-        refine_task(make_task(name), **options)
+        make_task(name, **options)
 
 
 def test_no_fixed_onset_where_the_surface_is_touched() -> None:
-    for task in (make_task("realism", surface=True), make_task("similarity", reference="surface")):
+    for name, options in (("realism", {"surface": True}), ("similarity", {"reference": "surface"})):
         with pytest.raises(ValueError, match=r"onset_s must not be set where the real surface"):
-            refine_task(task, onset_s=5.0)
+            make_task(name, onset_s=5.0, **options)
 
 
 @pytest.mark.parametrize("name", ["realism", "similarity", "dissimilarity"])
 def test_each_judgement_is_asked_on_every_scale_in_order(name: str) -> None:
     plain = make_order(ITEMS, [make_task(name)], number=1)
-    task = refine_task(make_task(name, training=2), scales=["roughness", name])
+    task = make_task(name, training=2, scales=["roughness", name])
     trials = make_order(ITEMS, [task], number=1)
     assert [trial.parts for trial in trials] == [trial.parts for trial in plain]
     assert trials.to_frame()["scale"].tolist() == ["roughness", name] * len(trials)
@@ -104,7 +104,7 @@ def test_each_judgement_is_asked_on_every_scale_in_order(name: str) -> None:
         assert is_as_expected(trial, values) == is_as_expected(former, {part: 80.0})
     lessons = make_rehearsal(ITEMS, [task], first_number=1, rng=np.random.default_rng(1))
     assert [[bool(j.expected) for j in one.judgements] for one in lessons] == [[False, True]] * 2
-    assert refine_task(make_task(name), scales=[name]) == make_task(name)
+    assert make_task(name, scales=[name]) == make_task(name)
 
 
 @given(st.lists(st.integers(1, 4), max_size=4), st.integers(1, 600))

@@ -5,8 +5,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.protocols.compare import CHOICES
-from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.tasks import CHOICES, PROTOCOLS
 from feel321.protocols.texts import (
     CATALOG,
     MODEL,
@@ -88,10 +87,7 @@ def test_every_language_is_complete(language: str) -> None:
 @pytest.mark.parametrize("language", list_languages())
 def test_every_language_has_the_scale_of_every_protocol(language: str) -> None:
     scales = read_scales(language)
-    assert set(scales) == {protocol.scale for protocol in PROTOCOLS.values()} | {
-        THRESHOLD,
-        MATCHING,
-    }
+    assert set(scales) == set(PROTOCOLS) | {THRESHOLD, MATCHING}
     assert all(name == scale.name for name, scale in scales.items())
     introduced = {key.partition(".")[2] for key in read_pages(language) if "." in key}
     assert introduced == set(scales)

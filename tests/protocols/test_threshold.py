@@ -30,7 +30,7 @@ NAMES = list(PROCEDURES)
 
 def resume(name: str, plan: ThresholdPlan, *, answers: Sequence[int] = ()) -> Procedure:
     """A procedure as it is after the given answers."""
-    procedure = PROCEDURES.find(name)(plan)
+    procedure = Procedure(name, plan)
     for answer in answers:
         procedure.update(answer)
     return procedure

@@ -58,7 +58,7 @@ def half(judgement, answer, parts):
     return answer / 2
 
 
-grit = Protocol("grit", ("recording", "reducer", "level"), compare, texts=TEXTS, score=half)
+grit = Protocol("grit", compare, texts=TEXTS, score=half)
 """
 
 

@@ -13,7 +13,13 @@ import numpy as np
 import pytest
 
 from feel321.protocols.tasks import make_task
-from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdBlock, estimate_threshold
+from feel321.protocols.threshold import (
+    PROCEDURES,
+    USUAL,
+    Procedure,
+    ThresholdBlock,
+    estimate_threshold,
+)
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold, sensation_level_db
@@ -189,7 +195,7 @@ def test_one_frequency_shifts_the_level_of_every_stimulus_alike(tmp_path: Path) 
 
 def make_estimate(threshold_db: float, **changes: Any) -> Any:
     """An estimate, narrow, of a participant who guessed in half of the catch trials."""
-    plain = estimate_threshold(PROCEDURES["bayesian"](USUAL))
+    plain = estimate_threshold(Procedure("bayesian", USUAL))
     usual = {
         "threshold_db": threshold_db,
         "threshold_low_db": threshold_db - 3,

@@ -259,7 +259,7 @@ def _find_protocols(
     ratings: DataFrame, assumed: str
 ) -> tuple[NDArray[np.object_], tuple[str, ...]]:
     """Name the protocol of every judgement: as its column says, else as its scale is called, else what is assumed."""
-    of_scale = {protocol.scale: name for name, protocol in PROTOCOLS.items()}
+    of_scale = dict(zip(PROTOCOLS, PROTOCOLS, strict=True))
     given = scales = np.full(len(ratings), "", dtype=object)
     if "protocol" in ratings:
         column = ratings["protocol"].astype(object)

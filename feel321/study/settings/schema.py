@@ -15,7 +15,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from feel321 import intake
 from feel321.protocols import texts
 from feel321.protocols.order import ORDERS, TASK_ORDERS
-from feel321.protocols.tasks import make_task, refine_task
+from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import list_languages
 from feel321.protocols.threshold import (
     PROCEDURES,
@@ -313,9 +313,7 @@ class TaskTable(kinds.TomlTable):
 
     def make_task(self, name: str, *, training: int = 0, practice: int = 0) -> Task:
         """Make the task of a design; which refuses what its protocol has not."""
-        own = self.model_dump(include={"timing", "reference", "surface", "pairs"})
-        options = self.model_dump(exclude=set(own))
-        return refine_task(make_task(name, training=training, practice=practice, **own), **options)
+        return make_task(name, training=training, practice=practice, **self.model_dump())
 
 
 # What is felt: `[[recordings]]`, `[stimuli]` and `[rig]`, with methods of the lab's own.

@@ -16,16 +16,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import Question, read_ready, read_texts
 from feel321.protocols.threshold import INTERVALS
-from feel321.protocols.trial import (
-    MATCHING,
-    THRESHOLD,
-    Judgement,
-    Page,
-    Part,
-    Scale,
-    Trial,
-    ask_on_scales,
-)
+from feel321.protocols.trial import MATCHING, THRESHOLD, Judgement, Page, Part, Scale, Trial
 from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose
 from feel321.study.screen.sheet import LEADING, Text, measure
@@ -149,7 +140,8 @@ def make_views(
         )
     for name, count in (("realism", 2), ("similarity", 3), ("dissimilarity", 4)):
         trial, more = make_trial(name), dict(list(OWN.items())[: count - 1])
-        asked = ask_on_scales(trial.judgements, (name, *more), own=name)
+        (first,) = trial.judgements
+        asked = (first, *(replace(first, expected=None, scale=key) for key in more))
         trial = replace(trial, judgements=asked)
         own = tuple(Scale(key, *words) for key, words in more.items())
         view = show("scales", "answering", 53, trial=trial, selected=trial.judged[0])

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.tasks import make_task, refine_task
+from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Flow
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.session.plan import make_plan
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 @pytest.fixture
 def make(design: Design, stimuli: StimulusSet) -> MakePlan:
     def plan(name: str = "realism", **options: Any) -> Plan:
-        task = refine_task(make_task(name), **options)
+        task = make_task(name, **options)
         flow = Flow(max_attempts=2, break_min=None)
         changed = replace(design, tasks=(task,), flow=flow)
         return make_plan(changed, stimuli, "p01", number=1, simulated=True)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.tasks import make_task, refine_task
+from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import make_scales, read_texts
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.session.plan import make_plan
@@ -34,7 +34,7 @@ def scales() -> dict[str, Scale]:
 @pytest.fixture
 def threefold(design: Design, stimuli: StimulusSet) -> Plan:
     """Realism on three scales, then similarity on its own."""
-    asked = refine_task(make_task("realism"), scales=["realism", "roughness", "hardness"])
+    asked = make_task("realism", scales=["realism", "roughness", "hardness"])
     changed = replace(design, tasks=(asked, make_task("similarity")))
     return make_plan(changed, stimuli, "p01", number=1, simulated=True)
 

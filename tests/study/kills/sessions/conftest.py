@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from feel321.protocols.tasks import make_task, refine_task
+from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import Question, read_scales
 from feel321.protocols.threshold import USUAL, MatchingBlock, ThresholdBlock
 from feel321.protocols.trial import Flow, Scale
@@ -60,9 +60,7 @@ TASKS: Mapping[str, tuple[Task, ...]] = {
         "realism": make_task("realism", surface=True),
         "similarity-strict": make_task("similarity", timing="strict", reference="surface"),
         "similarity-replay": make_task("similarity", timing="replay"),
-        "dissimilarity": refine_task(
-            make_task("dissimilarity"), scales=["dissimilarity", "roughness"]
-        ),
+        "dissimilarity": make_task("dissimilarity", scales=["dissimilarity", "roughness"]),
         "mushra": make_task("mushra"),
         "abx": make_task("abx"),
         "triplet": make_task("triplet", reference="surface"),
