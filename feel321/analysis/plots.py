@@ -98,15 +98,13 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
         looks = assign_looks([
             f"{format_name(str(scale))}, {format_name(str(level))}" for (scale, level), _ in parts
         ])
-        rows = []
-        for name in names:
-            marks = [
-                kinds.Mark(row["mean"], row["low"], row["high"], look)
-                for (_, part), look in zip(parts, looks.values(), strict=True)
-                for row in part[part["reducer"] == name].to_dict("records")
-            ]
-            rows.append(kinds.ForestRow(format_name(name), tuple(marks)))
-        kinds.plot_forest(ax, rows, zero=False)
+        part = profile["scale"].map(format_name) + ", " + profile["level"].map(format_name)
+        order = {name: place for place, name in enumerate(names)}
+        frame = profile.assign(part=part, name=profile["reducer"].map(format_name))
+        frame = frame.sort_values("reducer", key=lambda own: own.map(order), kind="stable")
+        kinds.plot_forest(
+            ax, frame, columns="mean low high", series="part", looks=looks, include=()
+        )
         ax.legend(handles=list(make_handles(looks).values()), labels=list(looks))
     ax.set_xlabel(_label_ratings(profile))
     return ax
@@ -134,8 +132,9 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
         ", ".join(name) if isinstance(name, tuple) else str(name): one
         for name, one in items.items()
     }
-    rows = [row for row in kinds.list_slopes(named, {}) if row.label]
-    kinds.plot_forest(ax, rows)
+    frame = kinds.list_slopes(named, {})
+    looks, heading = kinds.look_up(frame["metric"]), "attribute" if any(named) else ""
+    kinds.plot_forest(ax, frame, series="metric", looks=looks, heading=heading)
     ax.set_xlabel("Change in rating per +0.1 of the metric")
     return ax
 
@@ -169,15 +168,12 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
     ax = _find_axes(ax)
     keys = [key for key in ("scale", "level", "metric", "method") if key in frame]
     keys = [key for key in keys if key == "metric" or len(frame[key].unique()) > 1]
-    rows = [
-        kinds.ForestRow(
-            ", ".join(format_name(str(row[key])) for key in keys),
-            (kinds.Mark(row["value"], row["low"], row["high"]),),
-        )
-        for row in frame.to_dict("records")
+    named = [
+        ", ".join(format_name(str(row[key])) for key in keys) for row in frame.to_dict("records")
     ]
     ceilings = frame["ceiling"].to_numpy(float)
-    kinds.plot_forest(ax, rows, include=ceilings[np.isfinite(ceilings)])
+    include = (0.0, *ceilings[np.isfinite(ceilings)])
+    kinds.plot_forest(ax, frame.assign(name=named), include=include)
     ax.vlines(ceilings, np.arange(len(frame)) - 0.3, np.arange(len(frame)) + 0.3, color="0.4")
     ax.set_xlabel("Correlation with mean ratings")
     return ax

@@ -62,16 +62,16 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
         )
         drawn.append((part.subject, own, whose))
         told.append({"subject": part.subject, **describe_extremes(own)})
-    for slug, own in parts.split_front("profile", drawn):
-        roles = {role for _, rows, _ in own for role in rows["role"]}
+    for slug, shown in parts.split_front("profile", drawn):
+        roles = {role for _, rows, _ in shown for role in rows["role"]}
         apart = {"reference": "the hidden reference", "anchor": "anchors"}
         says = {
-            "subjects": [subject for subject, _, _ in own], "roles": [apart[role] for role in apart if role in roles],
-            "alone": max(rows["n_participants"].max() for _, rows, _ in own) < SMALLEST,
-            "guessed": any((rows["scale"] == ANSWERED).any() for _, rows, _ in own),
+            "subjects": [subject for subject, _, _ in shown], "roles": [apart[role] for role in apart if role in roles],
+            "alone": max(rows["n_participants"].max() for _, rows, _ in shown) < SMALLEST,
+            "guessed": any((rows["scale"] == ANSWERED).any() for _, rows, _ in shown),
         }  # fmt: skip
         looks = assign_looks(order_reducers(table.rows[REDUCER]))
-        found.draw("profile", slug, own, looks, says=says, detail=slug != "profile")
+        found.draw("profile", slug, shown, looks, says=says, detail=slug != "profile")
     return found
 
 
