@@ -6,10 +6,10 @@ from dataclasses import fields, replace
 from itertools import chain, count
 from pathlib import Path
 from shlex import quote
+from typing import TYPE_CHECKING
 
 import pandas as pd
 
-from feel321.analysis.replication.claims import Paper, PaperClaim
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.screening.screen import find_rules
@@ -35,6 +35,9 @@ from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches,
 from feel321.study.settings.read import list_origins, make_recipe, open_recordings, read_settings
 from feel321.study.settings.schema import AnalysisTable, Settings
 from feel321.types import MetricInfo
+
+if TYPE_CHECKING:
+    from feel321.analysis.replication.claims import Paper
 
 Progress = Callable[[int, int], None]
 
@@ -178,10 +181,12 @@ def list_info(settings: Settings) -> dict[str, MetricInfo]:
     return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
 
 
-def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> Paper | None:
+def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Paper | None":
     """Make the paper that the report answers; mountings: metrics over orientations of the sensor."""
     if (paper := settings.paper) is None:
         return None
+    from feel321.analysis.replication.claims import Paper, PaperClaim
+
     claims = []
     for table in paper.claims:
         number = table.paper.model_dump() if table.paper else {}
