@@ -14,15 +14,7 @@ from feel321.doors import list_imports as _list_imports
 
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
-    from feel321.analysis.association.classic import (
-        compare_dependent,
-        repeated_measures_correlation,
-    )
-    from feel321.analysis.association.correlate import (
-        compare_metrics,
-        correlate,
-        tabulate_correlations,
-    )
+    from feel321.analysis.association.correlate import compare_metrics, correlate
     from feel321.analysis.association.rivals import rank_metrics
     from feel321.analysis.choices import predict_votes
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
@@ -47,7 +39,7 @@ if _TYPE_CHECKING:
     from feel321.analysis.screening.rules import RULES
     from feel321.analysis.screening.screen import screen_raters
     from feel321.analysis.space import fit_space
-    from feel321.analysis.standard import p1401
+    from feel321.analysis.standard import compare_dependent, p1401, repeated_measures_correlation
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.reading import read_table
     from feel321.analysis.tradeoff.measure import measure_tradeoff
@@ -62,7 +54,7 @@ __all__ = [
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
     "plot_spectrum", "predict_votes", "rank_metrics", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters",
-    "tabulate_correlations", "write_report",
+    "write_report",
 ]  # fmt: skip
 
 __getattr__ = _import_lazily(__name__, _list_imports(__file__))

@@ -23,13 +23,7 @@ PERFECT = 1 - 1e-12
 
 
 def read_numbers(given: object, *, what: str) -> Values:
-    """Read numbers; NaN where one is missing.
-
-    Examples
-    --------
-    >>> read_numbers([[1, 2], [None, 4]], what="table").tolist()
-    [[1.0, 2.0], [nan, 4.0]]
-    """
+    """Read numbers; NaN where one is missing."""
     from pandas import isna
 
     try:
@@ -46,10 +40,7 @@ def read_numbers(given: object, *, what: str) -> Values:
 
 
 def read_array(given: object, *, what: str, axes: Sequence[str], missing: bool = False) -> Values:
-    """Read numbers of a certain shape, all finite, or NaN where one may be missing.
-
-    axes: what each axis counts, such as ("items", "raters").
-    """
+    """Read numbers, all finite, or NaN where one may be missing; axes: what each counts: ("items", "raters")."""
     values = read_numbers(given, what=what)
     if values.ndim != len(axes):
         form = ", ".join(axes) + ("," if len(axes) == 1 else "")
@@ -80,14 +71,7 @@ def check_labels(first: object, second: object, *, what: str) -> None:
 def read_groups(
     given: object, *, n: int, what: str, of: str = "group", sort: bool = True
 ) -> tuple[NDArray[np.intp], list[object]]:
-    """Find the number of the group of each target or item, (n,); also the distinct names.
-
-    Examples
-    --------
-    >>> number, names = read_groups(["tap", "drag", "tap"], n=3, what="item")
-    >>> number.tolist(), names
-    ([1, 0, 1], ['drag', 'tap'])
-    """
+    """Find the number of the group of each target or item, (n,); also the distinct names."""
     from pandas import factorize
 
     names, rule = np.asarray(given), f"{of}s must hold one {of} per {what}"
@@ -115,13 +99,7 @@ def check_draws(draws: int, *, usual: int = 2000) -> None:
 
 
 def fisher_interval(r: float, n: int, *, quantile: float | None = None) -> tuple[float, float]:
-    """95 % interval of a correlation whose Fisher's z has the variance 1 / n; NaN where it is perfect or n is 0.
-
-    Examples
-    --------
-    >>> [round(end, 3) for end in fisher_interval(0.5, 25)]
-    [0.156, 0.736]
-    """
+    """95 % interval of a correlation whose Fisher's z has the variance 1 / n; NaN where it is perfect or n is 0."""
     from scipy.stats import norm
 
     if n < 1 or not abs(r) < PERFECT:

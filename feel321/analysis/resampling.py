@@ -26,6 +26,22 @@ if TYPE_CHECKING:
     from feel321.extensions import Method
 
 
+BLOCK = 4_000_000
+"""Numbers that an array of draws may hold: 32 MB, so that a million rows need no gigabytes."""
+
+STILL = 1e-12
+"""Spread of draws up to which they are all the same but for rounding error."""
+
+FEWEST_ITEMS = 3
+"""Two points always lie on a line."""
+
+TIED = 40
+"""Binary digits of a mean rating that count for its rank; the others, below 1e-12 of it, are rounding error."""
+
+MOST_UNDEFINED = 0.1
+"""Share of draws that may be undefined; with more, those left over are not a fair sample of what could be."""
+
+
 @dataclass(frozen=True, slots=True)
 class Choices:
     """Choices that were made before the ratings were seen.
@@ -55,99 +71,31 @@ class Choices:
 def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
     """Kendall's tau-b along the last axis, each item counting as often as its weight says; NaN for constants.
 
-    All arrays: (..., n_items); all samples at once, in n log n steps.
-
-    Notes
-    -----
-    Over all pairs of the sample in which each item occurs as often as its weight says, with C pairs in the same
-    order by x and by y, D in opposite order, and N_x, N_y pairs that differ in x, in y::
-
-        tau_b = (C - D) / sqrt(N_x N_y)
-
-    An item and its own copies are tied in both (Kendall 1945, doi 10.1093/biomet/33.3.239; Knight 1966, doi
-    10.1080/01621459.1966.10480879).
+    All arrays: (..., n_items). Over all pairs of the sample in which each item occurs as often as its weight says, with
+    C pairs in the same order by x and by y, D in opposite order, and N_x, N_y pairs that differ in x, in y:
+    (C - D) / sqrt(N_x N_y). An item and its own copies are tied in both (Kendall 1945, doi 10.1093/biomet/33.3.239).
     """
-    # Whatever does not depend on the weights, of which there may be several, is put in order once.
-    by_x, by_y = (np.argsort(one, axis=-1, kind="stable") for one in (x, y))
-    steps = _find_starts(np.take_along_axis(x, by_x, axis=-1))
-    x, y, by_x, by_y = np.broadcast_arrays(x, y, by_x, by_y)
-    rises = _find_starts(np.take_along_axis(y, by_y, axis=-1))
-    places = np.empty_like(by_y)
-    np.put_along_axis(places, by_y, np.cumsum(rises, axis=-1) - 1, axis=-1)
-    order = by_x if steps.all() else np.lexsort((places, x), axis=-1)
-    places = np.take_along_axis(places, order, axis=-1)
-    starts = _find_starts(np.take_along_axis(x, order, axis=-1))
-    ordered = _take(weights, order)
-    squares = ordered.sum(axis=-1) ** 2
-    differ_x = squares - _sum_squares(starts, ordered)
-    differ_y = squares - _sum_squares(rises, _take(weights, by_y))
-    differ_either = squares - _sum_squares(starts | _find_starts(places), ordered)
-    # Each of these counts a pair twice, a before b and b before a; the discordant pairs are counted once.
-    surplus = differ_x + differ_y - differ_either - 4 * _count_discordant(places, ordered)
+    step = max(1, BLOCK // (16 * max(1, y[0].size * y.shape[-1]))) if y.ndim > 1 else len(y)
+    if len(y) > step:  # y and weights hold more draws than memory has pairs for
+        axis = weights.ndim - y.ndim
+        parts = [range(at, min(at + step, len(y))) for at in range(0, len(y), step)]
+        found = [weighted_kendall(x, y[part], weights=weights.take(part, axis)) for part in parts]
+        return np.concatenate(found, axis=axis)
+    order_x, order_y = (
+        (one[..., :, None] > one[..., None, :]).astype(np.float32) for one in (x, y)
+    )
+    # Each pair is counted both ways round.
+    order_x, order_y = (one - one.swapaxes(-1, -2) for one in (order_x, order_y))
+    column = weights[..., None].astype(np.float32)
+
+    def count(pairs: NDArray[np.float32]) -> Values:
+        found: Values = (weights * (pairs @ column)[..., 0]).sum(axis=-1)
+        return found
+
+    differ_x, differ_y, surplus = map(count, (order_x**2, order_y**2, order_x * order_y))
     with np.errstate(invalid="ignore", divide="ignore"):
         tau = surplus / np.sqrt(differ_x) / np.sqrt(differ_y)
     return np.where((differ_x > 0) & (differ_y > 0), np.clip(tau, -1, 1), np.nan)
-
-
-def _take(values: Values, order: NDArray[np.intp]) -> Values:
-    """Put the last axis in order; either may have axes in front that the other has not."""
-    values, order = np.broadcast_arrays(values, order)
-    return np.take_along_axis(values, order, axis=-1)
-
-
-def _find_starts(ordered: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """Mark where another value begins."""
-    first = np.ones((*ordered.shape[:-1], 1), dtype=bool)
-    return np.concatenate([first, ordered[..., 1:] != ordered[..., :-1]], axis=-1)
-
-
-def _before_group(starts: NDArray[np.bool_], before: Values) -> Values:
-    """Carry what had been counted before each group through the group; counts only grow."""
-    carried: Values = np.maximum.accumulate(np.where(starts, before, 0), axis=-1)
-    return carried
-
-
-def _sum_squares(starts: NDArray[np.bool_], weights: Values) -> Values:
-    """Sum the squared weights of groups: the pairs, both ways round, that are tied."""
-    upto = np.cumsum(weights, axis=-1)
-    # (Σ w)² = Σ w (2 S - w), S the sum up to and with each.
-    doubled = 2 * (upto - _before_group(starts, upto - weights)) - weights
-    squares: Values = (weights * doubled).sum(axis=-1)
-    return squares
-
-
-def _count_discordant(places: NDArray[np.intp], weights: Values) -> Values:
-    """Count pairs whose later item has the lower place.
-
-    Splitting by one binary digit of the place at a time, from the highest: a pair parts at the first digit in which
-    its places differ, and is discordant if the one comes before the zero there.
-    """
-    discordant = np.zeros(weights.shape[:-1])
-    # Of short numbers the stable sort is a radix sort, which takes a fraction of the time.
-    kind = np.int16 if places.shape[-1] < np.iinfo(np.int16).max else places.dtype
-    for digit in reversed(range(int(places.shape[-1]).bit_length())):
-        is_one = (places >> digit) & 1
-        ones = np.cumsum(weights * is_one, axis=-1)
-        starts = _find_starts(places >> (digit + 1))
-        earlier = ones - _before_group(starts, ones - weights * is_one)
-        discordant += (weights * (1 - is_one) * earlier).sum(axis=-1)
-        order = np.argsort((places >> digit).astype(kind), axis=-1, kind="stable")
-        places = np.take_along_axis(places, order, axis=-1)
-        weights = _take(weights, order)
-    return discordant
-
-
-STILL = 1e-12
-"""Spread of draws up to which they are all the same but for rounding error."""
-
-FEWEST_ITEMS = 3
-"""Two points always lie on a line."""
-
-TIED = 40
-"""Binary digits of a mean rating that count for its rank; the others, below 1e-12 of it, are rounding error."""
-
-MOST_UNDEFINED = 0.1
-"""Share of draws that may be undefined; with more, those left over are not a fair sample of what could be."""
 
 
 def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
@@ -192,7 +140,9 @@ def weighted_ranks(values: Values, weights: Values) -> Values:
     rises = np.diff(ordered, axis=-1) > 0
     ends = np.ones((*rises.shape[:-1], 1), dtype=bool)
     # Both counts only grow, so a running maximum carries a tie's start forward and a running minimum its end back.
-    start = _before_group(np.concatenate([ends, rises], axis=-1), before)
+    start = np.maximum.accumulate(
+        np.where(np.concatenate([ends, rises], axis=-1), before, 0), axis=-1
+    )
     stop = np.where(np.concatenate([rises, ends], axis=-1), upto, np.inf)
     stop = np.minimum.accumulate(stop[..., ::-1], axis=-1)[..., ::-1]
     ranks = np.empty_like(upto)
@@ -232,8 +182,8 @@ def correlate_draws(
     participants: (draws, n_participants); recordings: (draws, n_recordings). NaN where a draw leaves the metric or
     the means constant, or fewer than three different items.
     """
-    averages = _average(items, participants)
-    return _correlate_means(items, METHODS[method], averages, counts=(recordings,))[0]
+    averages = Averages.of(items, participants)
+    return averages.correlate(items, METHODS[method], counts=(recordings,))[0]
 
 
 class Averages(NamedTuple):
@@ -242,61 +192,53 @@ class Averages(NamedTuple):
     means: Values
     rated: NDArray[np.bool_]
 
+    @classmethod
+    def of(cls, items: Items, participants: Values) -> Averages:
+        """Average each item's ratings over the participants drawn."""
+        seen = np.isfinite(items.ratings)
+        votes = participants @ seen.astype(np.float64)
+        sums = participants @ np.where(seen, items.ratings, 0.0)
+        return cls(np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0), votes > 0)
 
-def _correlate_means(
-    items: Items, how: CorrelationMethod, averages: Averages, *, counts: Sequence[Values]
-) -> list[Values]:
-    """Correlate with every metric, (n_metrics, draws), for each way of counting recordings, (draws, n_recordings)."""
-    if how.ranked:
-        averages = averages._replace(means=_tie_rounded(averages.means))
-    if how.within:
-        parts = [
-            _correlate_recordings(items, metric, averages, how=how) for metric in items.metrics
-        ]
-        return [
-            np.array([average_recordings(*part, counts=one) for part in parts]) for one in counts
-        ]
-    weights = np.stack([one[:, items.recordings] * averages.rated for one in counts])
-    found = np.array([
-        how.correlation(metric, averages.means, weights=weights) for metric in items.metrics
-    ])
-    few = (weights > 0).sum(axis=-1) < FEWEST_ITEMS
-    return list(np.where(few, np.nan, found).swapaxes(0, 1))
+    def tie_rounded(self) -> Averages:
+        """Make means that differ by rounding error only the same; whole numbers, of use for their order only."""
+        exponent = np.frexp(np.abs(self.means).max(axis=-1, keepdims=True))[1]
+        return self._replace(means=np.rint(np.ldexp(self.means, TIED - exponent)))
 
+    def correlate(
+        self, items: Items, how: CorrelationMethod, *, counts: Sequence[Values]
+    ) -> list[Values]:
+        """Correlate with every metric, (n_metrics, draws); counts: ways of counting recordings, (draws, n)."""
+        if how.within:
+            parts = [self.correlate_recordings(items, metric, how) for metric in items.metrics]
+            return [
+                np.array([average_recordings(*part, counts=one) for part in parts])
+                for one in counts
+            ]
+        means = self.tie_rounded().means if how.ranked else self.means
+        weights = np.stack([one[:, items.recordings] * self.rated for one in counts])
+        found = np.array([
+            how.correlation(metric, means, weights=weights) for metric in items.metrics
+        ])
+        few = (weights > 0).sum(axis=-1) < FEWEST_ITEMS
+        return list(np.where(few, np.nan, found).swapaxes(0, 1))
 
-def _average(items: Items, participants: Values) -> Averages:
-    """Average each item's ratings over the participants drawn."""
-    seen = np.isfinite(items.ratings)
-    votes = participants @ seen.astype(np.float64)
-    sums = participants @ np.where(seen, items.ratings, 0.0)
-    means = np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0)
-    return Averages(means, votes > 0)
-
-
-def _tie_rounded(means: Values) -> Values:
-    """Make means that differ by rounding error only the same; whole numbers, of use for their order only."""
-    exponent = np.frexp(np.abs(means).max(axis=-1, keepdims=True))[1]
-    whole: Values = np.rint(np.ldexp(means, TIED - exponent))
-    return whole
-
-
-def _correlate_recordings(
-    items: Items, metric: Values, averages: Averages, *, how: CorrelationMethod
-) -> tuple[Values, Values]:
-    """Correlate within each recording; also count the items that did: both of shape (draws, n_recordings)."""
-    means, rated = averages
-    found = np.empty((len(means), items.n_recordings))
-    sizes = np.empty_like(found)
-    n_items = np.bincount(items.recordings)
-    order = np.argsort(items.recordings, kind="stable")
-    # Recordings of as many items are one array.
-    for n_each in np.unique(n_items):
-        places = np.flatnonzero(n_items == n_each)
-        own = order[np.isin(items.recordings[order], places)].reshape(-1, n_each)
-        weights = rated[:, own].astype(np.float64)
-        sizes[:, places] = weights.sum(axis=-1)
-        found[:, places] = how.correlation(metric[own], means[:, own], weights=weights)
-    return np.where(sizes < FEWEST_ITEMS, np.nan, found), sizes
+    def correlate_recordings(
+        self, items: Items, metric: Values, how: CorrelationMethod
+    ) -> tuple[Values, Values]:
+        """Correlate within each recording; also count the items that did: both of shape (draws, n_recordings)."""
+        means = self.tie_rounded().means if how.ranked else self.means
+        found = np.empty((len(means), items.n_recordings))
+        sizes, n_items = np.empty_like(found), np.bincount(items.recordings)
+        order = np.argsort(items.recordings, kind="stable")
+        # Recordings of as many items are one array.
+        for n_each in np.unique(n_items):
+            places = np.flatnonzero(n_items == n_each)
+            own = order[np.isin(items.recordings[order], places)].reshape(-1, n_each)
+            weights = self.rated[:, own].astype(np.float64)
+            sizes[:, places] = weights.sum(axis=-1)
+            found[:, places] = how.correlation(metric[own], means[:, own], weights=weights)
+        return np.where(sizes < FEWEST_ITEMS, np.nan, found), sizes
 
 
 def average_recordings(correlations: Values, sizes: Values, *, counts: Values) -> Values:
@@ -345,10 +287,6 @@ def bootstrap_margin(drawn: Values, n_units: int) -> float:
     return quantile * float(np.sqrt(n_units / (n_units - 1)) * defined.std(ddof=1))
 
 
-BLOCK = 4_000_000
-"""Numbers that an array of draws may hold: 32 MB, so that a million rows need no gigabytes."""
-
-
 class Draws(NamedTuple):
     """The correlation with each metric, and Fisher's z of its draws.
 
@@ -370,21 +308,19 @@ def draw_methods(
     for start in range(0, draws, block):
         size = min(block, draws - start)
         # Participants are drawn first and recordings second, so that both intervals share the same participants.
-        averages = _average(items, draw_counts(items.n_participants, size, rng=rng))
+        averages = Averages.of(items, draw_counts(items.n_participants, size, rng=rng))
         # A source comes with all its recordings, or not at all.
         scenes = draw_counts(items.n_sources, size, rng=rng)[:, items.of_source]
         for method, found in blocks.items():
             counts = (scenes, np.ones_like(scenes))
-            drawn = _correlate_means(items, METHODS[method], averages, counts=counts)
+            drawn = averages.correlate(items, METHODS[method], counts=counts)
             found.append([fisher_z(one) for one in drawn])
-    whole, everything = _average(items, np.ones((1, items.n_participants))), items.n_recordings
-    result = {}
+    whole, result = Averages.of(items, np.ones((1, items.n_participants))), {}
     for method, found in blocks.items():
         how, each = METHODS[method], np.empty((len(items.metrics), 0))
-        (point,) = _correlate_means(items, how, whole, counts=(np.ones((1, everything)),))
+        (point,) = whole.correlate(items, how, counts=(np.ones((1, items.n_recordings)),))
         if how.within:
-            tied = whole._replace(means=_tie_rounded(whole.means)) if how.ranked else whole
-            parts = [_correlate_recordings(items, row, tied, how=how)[0] for row in items.metrics]
+            parts = [whole.correlate_recordings(items, row, how)[0] for row in items.metrics]
             each = np.concatenate(parts)
         two_way, people = (np.concatenate(part, axis=1) for part in zip(*found, strict=True))
         result[method] = Draws(point[:, 0], two_way, people, each)

@@ -30,7 +30,7 @@ from feel321.study.folder import DELIVERED
 from feel321.study.keys import USUAL
 from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
-from feel321.study.observer.model import cast_observers, find_person, identify_observer
+from feel321.study.observer.model import Casting, find_person, make_model
 from feel321.study.observer.simulated import Participant
 from feel321.study.people import read_progress
 from feel321.study.session.engine import Outcome
@@ -78,7 +78,7 @@ def run_participant(
     check_lab(room)
     if simulated:
         seed = settings.study.seed if seed is None else seed
-        room = replace(room, casting=cast_observers(settings, seed=seed))
+        room = replace(room, casting=Casting(make_model(settings), seed))
     plan = plan_sessions(room, settings, [participant], simulated=simulated)[0]
     own = read_progress(study.sessions / plan.participant)
     if own.state == "finished":  # No window is opened for it.
@@ -157,8 +157,7 @@ def _get_rig(room: Room) -> Rig:
 
 def identify_lab(room: Room) -> dict[str, Any]:
     """Describe what a session depends on besides its plan, for the header of its journal."""
-    casting = room.casting
-    who = identify_observer(casting.model, seed=casting.seed) if casting else {"simulated": False}
+    who = room.casting.identity if room.casting else {"simulated": False}
     rig = identify(_get_rig(room))
     presenter = {**who, "rehearsal": room.study.is_rehearsal, "rig": rig}
     calibration = room.certificate.identity if room.certificate else UNCALIBRATED
@@ -183,7 +182,7 @@ def open_lab(
         output.lead_s = room.certificate.lead_s if room.certificate else 0.0
         screen = open_screen(clock=clock, windowed=room.windowed, screen=room.screen)
         window = stack.enter_context(screen)
-        hand = _open_hand(plan, journal, stimuli, room=room, stack=stack)
+        hand = _open_hand(plan, stimuli, room=room, stack=stack)
         own = {} if keys == USUAL else {"keys": keys.model_dump(mode="json")}
         if room.lsl:
             stack.enter_context(open_outlet(journal, clock))
@@ -238,15 +237,14 @@ def _make_check(room: Room) -> DeliveryCheck | None:
 
 
 def _open_hand(
-    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, room: Room, stack: ExitStack
+    plan: Plan, stimuli: Mapping[str, Stimulus], *, room: Room, stack: ExitStack
 ) -> Hand | None:
-    """Seat a simulated participant, who remembers the last answer before a break."""
+    """Seat a simulated participant."""
     if (casting := room.casting) is None:
         return None
     from feel321.study.screen.robot import PressingHand, XKeyboard
 
     person = find_person(plan.participant)
     mind = Participant(casting.model, seed=casting.seed, number=person)
-    mind.recall(journal.records, plan.trials, stimuli=stimuli)
     keyboard, keys = stack.enter_context(closing(XKeyboard())), _get_rig(room).keys
     return PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter, keys=keys)

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Records
-    from feel321.study.session.plan import Course, Design, Dossier, Plan
+    from feel321.study.session.plan import Design, Dossier, Plan
 
 UNHURRIED = (0.7, 0.4)
 """Mean and standard deviation of the logarithm of a response time in s: a median of 2.0 s."""
@@ -92,7 +92,7 @@ class Sitting:
     tasks: Mapping[str, Task] = field(default_factory=dict)
 
     @classmethod
-    def plan(cls, course: Plan | Course, flow: Flow, durations: Mapping[str, float]) -> Sitting:
+    def plan(cls, course: Plan, flow: Flow, durations: Mapping[str, float]) -> Sitting:
         """Take trials from a plan, and the duration of tones from its threshold block, if it has one."""
         tasks = {task.protocol: task for task in course.tasks}
         if (block := course.threshold) is None:

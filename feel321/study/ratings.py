@@ -23,7 +23,6 @@ from feel321.protocols.threshold import SECOND, Matching
 from feel321.protocols.trial import MATCHING, Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
-from feel321.study.sensation import find_own_levels
 from feel321.study.session.events import (
     PartPlayed,
     SessionBegun,
@@ -33,6 +32,7 @@ from feel321.study.session.events import (
 )
 from feel321.study.session.journal import Records, list_journals, name_journal
 from feel321.study.session.plan import Dossier, Plan, list_by_code, read_as_written
+from feel321.study.thresholds import find_own_levels
 from feel321.study.wide import write_wide
 
 MATCHES_FILE = "matches.csv"

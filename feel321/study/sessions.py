@@ -100,22 +100,23 @@ def lead_session(
         folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=room.accept_rig
     ) as (stored, journal):
         by_code = list_by_code(room.stimuli, seed=stored.seed)
-        durations = find_durations(room.stimuli)
+        durations, keep = find_durations(room.stimuli), make_keeper(folder, journal)
         left_s = find_left(stored, journal.records, durations=durations, pace=room.pace)
 
         def note(place: Place) -> None:
             if on_step is not None:
                 on_step(replace(place, left_s=left_s.get(place.done)))
 
-        with make_presenter(stored, journal, by_code) as presenter:
+        stimuli, scales = room.stimuli, room.scales
+        with make_presenter(stored, journal, by_code) as shown:
             outcome = run_session(
                 stored,
-                presenter,
-                stimuli=room.stimuli,
+                shown,
+                stimuli=stimuli,
                 journal=journal,
-                scales=room.scales,
+                scales=scales,
                 on_step=note,
-                keep=make_keeper(folder, journal),
+                keep=keep,
             )
         return outcome, journal.notice
 
@@ -137,19 +138,18 @@ def list_rig_problems(
         render.find_mix(rig)
     except ValueError as error:
         return [f"{name}: {error}"]
+    rate_hz, full_scale = own.rate_hz, own.full_scale_m_s2
     problems = render.find_rig_problems(
         rig,
         stimuli,
-        rate_hz=own.rate_hz,
-        full_scale_m_s2=own.full_scale_m_s2,
+        rate_hz=rate_hz,
+        full_scale_m_s2=full_scale,
         certificate=certificate,
         sounds=sounds,
     )
     if threshold := settings.session.threshold:
         block = threshold.make_block()
-        problems += render.find_tone_problems(
-            block, rig, rate_hz=own.rate_hz, certificate=certificate
-        )
+        problems += render.find_tone_problems(block, rig, rate_hz=rate_hz, certificate=certificate)
     return [f"{name}: {problem}" for problem in problems]
 
 

@@ -12,15 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.checkpoints import note_checkpoint
-from feel321.study.observer.model import (
-    Casting,
-    Touch,
-    cast_observers,
-    expect_rating,
-    find_person,
-    identify_observer,
-    make_model,
-)
+from feel321.study.observer.model import Casting, Touch, expect_rating, find_person, make_model
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import write_roster
 from feel321.study.persons.answers import write_answers
@@ -118,7 +110,7 @@ def run_simulation(
     """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
     names = list_participants(room.study, participants)
     plans = plan_sessions(room, settings, names, simulated=True)
-    casting = cast_observers(settings, seed=seed)
+    casting = Casting(make_model(settings), seed)
     total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
     done, counting, stop = dict.fromkeys(names, 0), Lock(), Event()
 
@@ -131,11 +123,10 @@ def run_simulation(
                 if is_news and progress is not None:
                     progress(sum(done.values()), total)
 
-        presenter = identify_observer(casting.model, seed=casting.seed)
         _, notice = lead_session(
             room,
             plan,
-            identity=make_identity(settings, room.study.path, presenter),
+            identity=make_identity(settings, room.study.path, casting.identity),
             make_presenter=partial(_make_observer, casting=casting),
             on_step=lambda place: take(place.done),
         )
@@ -166,13 +157,7 @@ def list_participants(study: StudyFolder, number: int) -> list[str]:
 
 @contextmanager
 def _make_observer(
-    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, casting: Casting
+    plan: Plan, journal: Journal, _stimuli: Mapping[str, Stimulus], *, casting: Casting
 ) -> Iterator[Presenter]:
-    observer = SimulatedObserver(
-        casting.model,
-        seed=casting.seed,
-        number=find_person(plan.participant),
-        elapsed_s=journal.records.find_elapsed(),
-    )
-    observer.recall(journal.records, plan.trials, stimuli=stimuli)
-    yield observer
+    person, elapsed_s = find_person(plan.participant), journal.records.find_elapsed()
+    yield SimulatedObserver(casting.model, seed=casting.seed, number=person, elapsed_s=elapsed_s)

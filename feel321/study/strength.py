@@ -1,11 +1,10 @@
 """How strong the stimuli of a study are as its rig plays them: clipped, below threshold, or within reach.
 
-Everything here works on what a build would make (`feel321.stimuli.sets.build.foresee_stimuli`),
-whether it was made yet or not.
+Works on what a build would make (`feel321.stimuli.sets.build.foresee_stimuli`), whether it was made yet or not.
 """
 
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
 from math import inf, log10, sqrt
 from operator import attrgetter
 from typing import NamedTuple
@@ -27,14 +26,9 @@ from feel321.study.findings import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
 
-WEAK_DB = 10.0
-"""Stimuli with a lower sensation level are listed: they are felt, but hardly as what they are."""
-
-REACH_DB = 12.0
-"""Three standard deviations of thresholds between participants."""
-
-COSTLY_DB = 1.0
-"""A recording that takes less headroom from the others is not worth a line."""
+WEAK_DB = 10.0  # with less over the threshold stimuli are felt, but hardly as what they are
+REACH_DB = 12.0  # three standard deviations of thresholds between participants
+COSTLY_DB = 1.0  # a recording that takes less headroom from the others is not worth a line
 
 
 # How strongly a study's stimuli will be felt: sensation levels and gains.
@@ -76,7 +70,7 @@ def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Reci
         ),
         notes=(
             *_describe_gains(played, recipe),
-            f"sensation levels: {write_db(low)} to {write_db(high)} dB over the detection threshold "
+            f"sensation levels: {write_db(low).removesuffix(' dB')} to {write_db(high)} over the detection threshold "
             f"({recipe.threshold}) in the loudest 200 ms; feel321 check --json lists every recording",
         ),
         figures={
@@ -114,12 +108,8 @@ def _find_out_of_reach(settings: Settings) -> Iterator[str]:
             )
 
 
-def describe_gains(foreseen: Iterable[Foreseen], recipe: Recipe) -> list[str]:
-    """Describe by which gains stimuli are played, and what one recording's peak costs the others."""
-    return _describe_gains(_play(foreseen, recipe), recipe)
-
-
 def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
+    """Describe by which gains stimuli are played, and what one recording's peak costs the others."""
     played = [one for one in played if one.role != ANCHOR]  # they have no say in the gain
     gains = [one.gain for one in played if one.level == "as_is"]
     scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
@@ -172,59 +162,58 @@ def describe_built(settings: Settings, stimuli: StimulusSet) -> list[str]:
 
 def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
     """Find stimuli that are not built yet and will be limited at full scale: one line per recording."""
-    lines = []
-    for recording, own in _group(_play(foreseen, recipe)).items():
-        peaks = [one.peak_m_s2 / recipe.full_scale_m_s2 for one in own]
-        if over := [peak for peak in peaks if peak > 1]:
+    lines, most = [], recipe.full_scale_m_s2
+    for recording, own in _group(_play(foreseen, recipe)):
+        if over := [one.peak_m_s2 / most for one in own if one.peak_m_s2 > most]:
             lines.append(
                 f"recording {recording!r}: {len(over)} of {len(own)} stimuli will be clipped at full scale "
-                f"({recipe.full_scale_m_s2:g} m/s²), by up to {to_db(max(over)):.1f} dB; lower the gain or raise "
-                "full_scale_m_s2"
+                f"({most:g} m/s²), by up to {to_db(max(over)):.1f} dB; lower the gain or raise full_scale_m_s2"
             )
     return lines
 
 
-def _group(played: Sequence[_Played]) -> dict[str, list[_Played]]:
-    groups: dict[str, list[_Played]] = defaultdict(list)
-    for one in played:
-        groups[one.recording].append(one)
-    return groups
+def _group(played: Sequence[_Played]) -> list[tuple[str, list[_Played]]]:
+    order = list(dict.fromkeys(one.recording for one in played))
+    own = sorted(played, key=lambda one: order.index(one.recording))
+    return [(name, list(some)) for name, some in groupby(own, attrgetter("recording"))]
 
 
 def _find_weak(
     played: Sequence[_Played], recipe: Recipe, *, least: float, below: float
 ) -> Iterator[str]:
-    """List the recordings whose stimuli have sensation levels in a range, and what helps them."""
-    accept = f', or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
+    """List the recordings whose stimuli have sensation levels in a range, and what helps them.
+
+    That is a gain of their own, a stronger rig, or leaving something out.
+    """
+    accept = "" if below else f', or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
     where = f"below the detection threshold ({recipe.threshold}), not to be felt"
     if below:
         where = f"less than {below:g} dB over the detection threshold ({recipe.threshold})"
-    several = len(recipe.levels) > 1
-    for recording, own in _group(played).items():
-        weak = [one for one in own if least <= one.sensation_db < below]
+    for recording, own in _group(played):
+        weak = sorted(
+            (one for one in own if least <= one.sensation_db < below),
+            key=attrgetter("sensation_db"),
+        )
         if not weak:
             continue
-        arms = several or len({one.level for one in weak}) > 1
+        has_arms = len(recipe.levels) > 1 or len({one.level for one in weak}) > 1
+        arms = [f" {one.level}" if has_arms else "" for one in weak]
+        levels = [write_db(one.sensation_db) for one in weak]
         named = ", ".join(
-            f"{one.reducer}{f' {one.level}' if arms else ''} {write_db(one.sensation_db)}"
-            + ("" if one.sensation_db == -inf else " dB")
-            for one in sorted(weak, key=attrgetter("sensation_db"))
+            f"{one.reducer}{arm} {level}"
+            for one, arm, level in zip(weak, arms, levels, strict=True)
         )
-        yield (
-            f"recording {recording!r}: {len(weak)} of {len(own)} stimuli {where}: {named}; "
-            f"{_advise(own, weak, recipe)}{'' if below else accept}"
+        peak = max(one.peak_m_s2 for one in own if one.role != ANCHOR)
+        room_db = energy_db(recipe.headroom * recipe.full_scale_m_s2, peak) * 2
+        is_silent = weak[0].sensation_db == -inf
+        advice = (
+            "leave out the recording or these reducers, or use a stronger rig (full_scale_m_s2)"
         )
-
-
-def _advise(own: Sequence[_Played], weak: Sequence[_Played], recipe: Recipe) -> str:
-    """Suggest what helps weak stimuli of a recording: its own gain, a stronger rig, or leaving something out."""
-    peak = max(one.peak_m_s2 for one in own if one.role != ANCHOR)
-    room_db = energy_db(recipe.headroom * recipe.full_scale_m_s2, peak) * 2
-    is_silent = min(one.sensation_db for one in weak) == -inf
-    if not is_silent and recipe.gain != GAIN_PER_RECORDING and room_db > COSTLY_DB:
-        helped = f'gain = "{GAIN_PER_RECORDING}" plays this recording {room_db:.1f} dB stronger'
-        return f"{helped}; leave out what is still weak then, or use a stronger rig"
-    return "leave out the recording or these reducers, or use a stronger rig (full_scale_m_s2)"
+        if not is_silent and recipe.gain != GAIN_PER_RECORDING and room_db > COSTLY_DB:
+            helped = f'gain = "{GAIN_PER_RECORDING}" plays this recording {room_db:.1f} dB stronger'
+            advice = f"{helped}; leave out what is still weak then, or use a stronger rig"
+        what = f"{len(weak)} of {len(own)} stimuli {where}: {named}"
+        yield f"recording {recording!r}: {what}; {advice}{accept}"
 
 
 def _compare_with_surface(settings: Settings, gains: Sequence[float]) -> Iterator[str]:
@@ -255,7 +244,7 @@ def energy_db(energy: float, other: float) -> float:
 
 def write_db(value: float) -> str:
     """Write dB to one place, without -0.0."""
-    return "silent" if value == -inf else f"{round(value, 1) + 0.0:.1f}"
+    return "silent" if value == -inf else f"{round(value, 1) + 0.0:.1f} dB"
 
 
 # What a rig makes of the strength of stimuli: equal energy for one axis and for three, and peaks that it can play.
@@ -280,17 +269,31 @@ def find_reach(
         return Problems(warnings=(line,))
     mix = render.find_mix(rig)
     reduced = render.reduced_energy(mix, directions)
-    differences: dict[str, float] = {}
-    for recording, covariance in covariances.items():
-        original = render.original_energy(mix, directions, covariance)
-        differences[recording] = energy_db(reduced, original)
-    name = max(differences, key=lambda name: abs(differences[name]))
-    figures = {"reduced_over_reference_db": differences}
-    worst = differences[name]
+    differences = {
+        recording: energy_db(reduced, render.original_energy(mix, directions, covariance))
+        for recording, covariance in covariances.items()
+    }
+    recording = max(differences, key=lambda name: abs(differences[name]))
+    worst, figures = differences[recording], {"reduced_over_reference_db": differences}
     if abs(worst) < render.EQUAL_DB:
         same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
-        return Problems(notes=(f"{same} (difference {write_db(worst)} dB)",), figures=figures)
-    warning = _describe_difference(rig, worst, name, among=differences)
+        return Problems(notes=(f"{same} (difference {write_db(worst)})",), figures=figures)
+    # Strength gives the reference away; which weights would avoid that?
+    factor = 10 ** (-worst / 20)
+    weights = {name: own[REDUCED] * factor for name, own in mix.items() if REDUCED in own}
+    remedy = (
+        f"set weight: {', '.join(f'{name!r} {weight:.4g}' for name, weight in weights.items())}"
+    )
+    is_alike = max(differences.values()) - min(differences.values()) < render.EQUAL_DB
+    if not all(actuator.direction for actuator in rig.actuators):
+        remedy += "; or add direction = [x, y, z] to every actuator"
+    elif not is_alike:
+        remedy += ", or put the coils of x, y and z at right angles"
+    warning = (
+        f"one-axis stimuli reach the hand {abs(worst):.1f} dB {'stronger' if worst > 0 else 'weaker'} than the "
+        f"three-axis reference{'' if is_alike else f' in recording {recording!r}'}, so they can be distinguished by "
+        f"strength; {remedy}"
+    )
     return Problems(warnings=(warning,), figures=figures)
 
 
@@ -316,27 +319,3 @@ def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> l
                 f"{limit} of {limits[limit]:g}; lower gain or headroom in study.toml, or raise that if the coil allows"
             )
     return lines
-
-
-def _describe_difference(
-    rig: Rig, difference_db: float, recording: str, *, among: dict[str, float]
-) -> str:
-    """Describe that strength gives the reference away, and which weights would avoid that."""
-    mix = render.find_mix(rig)
-    factor = 10 ** (-difference_db / 20)
-    weights = {
-        name: factors[REDUCED] * factor for name, factors in mix.items() if REDUCED in factors
-    }
-    how = ", ".join(f"{name!r} {weight:.4g}" for name, weight in weights.items())
-    is_alike = max(among.values()) - min(among.values()) < render.EQUAL_DB
-    where = "" if is_alike else f" in recording {recording!r}"
-    than = "stronger" if difference_db > 0 else "weaker"
-    remedy = f"set weight: {how}"
-    if not all(actuator.direction for actuator in rig.actuators):
-        remedy += "; or add direction = [x, y, z] to every actuator"
-    elif where:
-        remedy += ", or put the coils of x, y and z at right angles"
-    return (
-        f"one-axis stimuli reach the hand {abs(difference_db):.1f} dB {than} than the three-axis reference{where}, so "
-        f"they can be distinguished by strength; {remedy}"
-    )

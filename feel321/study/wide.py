@@ -11,21 +11,13 @@ from typing import Any
 
 from feel321.files import make_folder, write_table
 
-WIDE = "data"
-"""Folder of the files, in a study's."""
+WIDE = "data"  # folder of the files, in a study's
 
 ONCE = {
-    "participant": "participant",
-    "session": "session",
-    "protocol": "trials.protocol",
-    "block": "trials.block",
-    "trial": "trials.thisN",
-    "repeat": "trials.thisRepN",
-    "response_time_s": "response.rt",
-    "underruns": "underruns",
-    "rejected": "rejected",
-    "simulated": "simulated",
-}
+    "participant": "participant", "session": "session", "protocol": "trials.protocol", "block": "trials.block",
+    "trial": "trials.thisN", "repeat": "trials.thisRepN", "response_time_s": "response.rt", "underruns": "underruns",
+    "rejected": "rejected", "simulated": "simulated",
+}  # fmt: skip
 """Column of a judgement -> column of a trial."""
 
 EACH = {
@@ -51,14 +43,10 @@ def write_wide(study: Path, rows: Iterable[Mapping[str, Any]]) -> None:
     if taken := sorted(foreign & people.keys()):
         raise FileExistsError(f"{folder / taken[0]}.csv: is not feel321's; move it away")
     for name, own in people.items():
-        trials = [
-            list(one) for _, one in groupby(own, itemgetter("session", "trial", "response_time_s"))
-        ]
-        most = max(map(len, trials))
-        columns = [
-            *ONCE.values(),
-            *(f"{name}_{k + 1}" for k in range(most) for name in EACH.values()),
-        ]
+        key = itemgetter("session", "trial", "response_time_s")
+        trials = [list(one) for _, one in groupby(own, key)]
+        numbers = range(1, max(map(len, trials)) + 1)
+        columns = [*ONCE.values(), *(f"{column}_{k}" for k in numbers for column in EACH.values())]
         write_table(folder / f"{name}.csv", columns, map(_widen, trials), private=True)
 
 

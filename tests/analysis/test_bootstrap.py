@@ -13,7 +13,6 @@ from feel321.analysis.resampling import (
     bootstrap_margin,
     correlate_draws,
     draw_counts,
-    weighted_kendall,
     weighted_pearson,
     weighted_ranks,
 )
@@ -127,24 +126,3 @@ def test_within_averages_the_recordings_over_fishers_z(method: str) -> None:
         correlate_within_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
     ]
     np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)
-
-
-weighted_items = st.lists(
-    st.tuples(st.integers(0, 5), st.integers(0, 5), st.integers(0, 3)), min_size=2, max_size=25
-)
-
-
-@given(weighted_items)
-def test_weighted_kendall_is_scipys_of_the_written_out_sample(
-    items: list[tuple[int, int, int]],
-) -> None:
-    x, y, weights = np.array(items, float).T
-    counts = weights.astype(int)
-    expected = (
-        stats.kendalltau(np.repeat(x, counts), np.repeat(y, counts)).statistic
-        if counts.sum() > 1
-        else math.nan
-    )
-    assert weighted_kendall(x, y, weights=weights) == pytest.approx(
-        expected, nan_ok=True, abs=1e-12
-    )

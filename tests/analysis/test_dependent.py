@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.analysis.association.classic import compare_dependent
+from feel321.analysis.standard import compare_dependent
 
 
 def test_zou_2007_overlapping_example() -> None:

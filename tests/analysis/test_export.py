@@ -13,7 +13,7 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis import export
-from feel321.analysis.primary.rcode import RESERVED
+from feel321.analysis.primary.rcode import RESERVED, make_r_name, rename_terms, write_r_string
 
 PLAIN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
@@ -159,3 +159,12 @@ def test_only_an_earlier_export_is_replaced(table: analysis.Table, tmp_path: Pat
         with pytest.raises(FileExistsError, match="holds files that are not"):
             export.export_r(some, path)
     assert [path.read_text() for path in other.iterdir()] == ["mine"]
+
+
+def test_names_and_text_are_such_as_r_takes() -> None:
+    names = (make_r_name("repeat"), make_r_name("my-metric"), make_r_name("2nd", {"x2nd"}))
+    assert names == ("repeat_", "my_metric", "x2nd_2")
+    assert write_r_string('r\u00e9alisme "1"') == '"r\\u00e9alisme \\"1\\""'
+    formula = "rating ~ 1 + `my-m_w` + (1 | item)"
+    renamed = rename_terms(formula, {"my-m_w": "my_m", "item": "stimulus"})
+    assert renamed == "rating ~ 1 + my_m + (1 | stimulus)"

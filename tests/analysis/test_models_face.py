@@ -47,7 +47,7 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "primary": analysis.fit_primary(rows, METRICS),
         "primaries": analysis.fit_attributes(both, METRICS),
         "fit": fit,
-        "contrast": analysis.contrast(fit, "reducerx - reducery"),
+        "contrast": analysis.contrast(fit, {"reducerx": 1, "reducery": -1}),
         "screening": analysis.screen_raters(rows, rng=1),
         "association": analysis.correlate(rows, "sm", draws=20),
         "difference": analysis.compare_metrics(rows, *METRICS, draws=20),
@@ -103,25 +103,7 @@ def test_every_scale_at_every_level(both: pd.DataFrame) -> None:
     ]
 
 
-def test_prediction_of_the_rows_fitted_is_the_fixed_part(rows: pd.DataFrame) -> None:
-    fit = analysis.fit_mixed("rating ~ np.log(sm + 1) + reducer + (1 | participant)", rows)
-    own = fit.effects.set_index("level")["value"]
-    random = own[rows["participant"].astype(str)].to_numpy()
-    np.testing.assert_allclose(fit.predict(rows) + random, fit.fitted)
-    one = rows[rows["reducer"] == "y"]
-    np.testing.assert_allclose(fit.predict(one), fit.predict(rows)[one.index])
-    with pytest.raises(ValueError, match="levels that were fitted"):
-        fit.predict(one.assign(reducer="new"))
-    with pytest.raises(ValueError, match="columns of the fixed part"):
-        fit.predict(one.drop(columns="sm"))
-    plain = analysis.fit_mixed("rating ~ sm + (1 | participant)", rows)
-    at = plain.fixed["estimate"]
-    assert plain.predict(rows[:1])[0] == pytest.approx(at.iloc[0] + at.iloc[1] * rows["sm"].iloc[0])
-
-
-def test_contrasts_in_words_are_those_of_the_mapping(rows: pd.DataFrame) -> None:
+def test_contrasts_name_terms_of_the_model(rows: pd.DataFrame) -> None:
     fit = analysis.fit_mixed("rating ~ sm + tm + (1 | participant)", rows)
-    assert analysis.contrast(fit, "sm - 0.5 * tm") == analysis.contrast(fit, {"sm": 1, "tm": -0.5})
-    assert analysis.contrast(fit, "-tm") == analysis.contrast(fit, {"tm": -1})
     with pytest.raises(ValueError, match=r"of the model .*got .*zm"):
-        analysis.contrast(fit, "sm - zm")
+        analysis.contrast(fit, {"sm": 1, "zm": -1})

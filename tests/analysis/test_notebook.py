@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from feel321 import analysis, results, stimuli
-from feel321.analysis.association.correlate import correlate, tabulate_correlations
+from feel321.analysis.association.correlate import correlate
 from feel321.analysis.contrasts import compare
 from feel321.analysis.report.reducers import compute_contrasts
 from feel321.analysis.report.section import find_row
@@ -67,19 +67,6 @@ def test_a_table_has_the_shapes_that_others_take(realism: results.Table) -> None
 def test_ratings_in_memory_need_a_manifest(table: results.Table) -> None:
     with pytest.raises(TypeError, match=r"got DataFrame.*give the manifest too"):
         analysis.read_table(table.to_frame())
-
-
-def test_correlations_of_everything_are_those_of_each_part(table: results.Table) -> None:
-    found = tabulate_correlations(table, draws=20, rng=3)
-    assert list(found["scale"].unique()) == ["realism", "similarity"]
-    assert list(found["metric"].unique()) == list(table.metrics)
-    seed = int(np.random.default_rng(3).integers(2**63))
-    for row in found.to_dict("records"):
-        alone = correlate(table.select(scale=row["scale"]), row["metric"], draws=20, rng=seed)
-        assert (row["value"], row["low"], row["high"]) == (alone.value, alone.low, alone.high)
-    assert len(tabulate_correlations(table, ["temporal_match"], method="all", draws=5)) == 12
-    with pytest.raises(ValueError, match="metrics must be a list of one name or more"):
-        tabulate_correlations(table.rows)
 
 
 def test_two_reducers_are_compared_as_the_report_compares_them(realism: results.Table) -> None:
@@ -185,7 +172,7 @@ def test_names_of_other_packages_are_repeated_rightly() -> None:
 def test_one_line_plots_what_has_one_obvious_plot(
     table: results.Table, realism: results.Table
 ) -> None:
-    found = tabulate_correlations(realism, draws=20)
+    found = pd.DataFrame([correlate(realism, name, draws=20) for name in realism.metrics])
     axes = analysis.plot(found, ax=Figure().subplots())
     dots, bars = read_forest(axes)
     assert dots == list(found["value"])

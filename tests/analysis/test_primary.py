@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,6 @@ import pytest
 from feel321.analysis.mixed.model import fit_mixed
 from feel321.analysis.primary.model import fit_attributes, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import make_cells, plan_terms
-from feel321.analysis.primary.precision import SlopePrecision, find_own, find_variances
 from feel321.analysis.primary.sensitivity import vary_primary
 
 if TYPE_CHECKING:
@@ -285,43 +283,6 @@ def test_logits_and_rater_standardised_ratings_by_their_definitions(rows: pd.Dat
             assert table.loc[variant, column].tolist() == pytest.approx(
                 wanted[column].tolist(), rel=1e-6
             )
-
-
-def test_precision_is_that_of_the_model_with_its_own_spreads() -> None:
-    """With equal numbers everywhere the standard error of generalised least squares has a closed form."""
-    people, scenes, kinds = 9, 7, 5
-    rng = np.random.default_rng(3)
-    metrics = rng.normal(size=(2, scenes, kinds)) + rng.normal(size=(2, 1, kinds))
-    metrics -= metrics.mean(axis=2, keepdims=True)
-    within = metrics.reshape(2, -1).T
-    scene, kind = (axis.ravel() for axis in np.indices((scenes, kinds)))
-    of_item, noise, of_kind, own_kind, slopes = 2.0, 6.0, 3.0, 1.5, 4.0
-    levels = np.eye(kinds)[kind]
-    spread = (of_item**2 + noise**2 / people) * np.eye(scenes * kinds)
-    spread += (of_kind**2 + own_kind**2 / people) * levels @ levels.T
-    # Recordings differ by anything at all: their means say nothing of slopes within.
-    design = np.column_stack([within, np.eye(scenes)[scene]])
-    weighted = np.linalg.inv(design.T @ np.linalg.solve(spread, design))
-    for place in (0, 1):
-        study = SlopePrecision(
-            slopes,
-            of_item,
-            noise,
-            1.0,
-            n_participants=people,
-            n_recordings=scenes,
-            n_items=len(within),
-            n_slopes=2,
-            reducer_sd=of_kind,
-            rater_reducer_sd=own_kind,
-            n_reducers=kinds,
-            n_alike=scenes,
-        )
-        own, alike = find_own(within, place, kind, variances=find_variances(study))
-        study = replace(study, square=float(own @ own), reducer_square=float(alike @ alike))
-        assert study.find_se()[0] ** 2 == pytest.approx(
-            weighted[place, place] + slopes**2 / people, rel=1e-9
-        )
 
 
 @pytest.mark.soak

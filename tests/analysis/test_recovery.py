@@ -21,14 +21,18 @@ import pytest
 from scipy.stats import binom
 
 from feel321.analysis.agreement import intraclass
-from feel321.analysis.association.classic import compare_dependent, repeated_measures_correlation
 from feel321.analysis.association.correlate import compare_metrics, correlate
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.contrasts.compare import equivalence, non_inferiority, profile_reducers
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
 from feel321.analysis.resampling import METHODS, Draws, correlate_draws, fisher_z, measure_lean
-from feel321.analysis.standard import compare_p1401, p1401
+from feel321.analysis.standard import (
+    compare_dependent,
+    compare_p1401,
+    p1401,
+    repeated_measures_correlation,
+)
 from feel321.analysis.table.items import Items
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from feel321.analysis.association.classic import repeated_measures_correlation
+from feel321.analysis.standard import repeated_measures_correlation
 
 
 def make_rows(

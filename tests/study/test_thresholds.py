@@ -29,14 +29,19 @@ from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import ROSTER_FILE
 from feel321.study.ratings import write_ratings
-from feel321.study.sensation import LOW_RATE_HZ, find_shift
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import read_journal
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Design, Stale, create_plan, make_plan, require_plan
 from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
-from feel321.study.thresholds import find_warnings, is_usable, read_thresholds
+from feel321.study.thresholds import (
+    LOW_RATE_HZ,
+    find_shift,
+    find_warnings,
+    is_usable,
+    read_thresholds,
+)
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:

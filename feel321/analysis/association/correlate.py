@@ -18,14 +18,7 @@ from feel321.analysis import resampling
 from feel321.analysis.agreement import SMALLEST, find_ceiling
 from feel321.analysis.arrays import PERFECT, Values, check_draws
 from feel321.analysis.contrasts.compare import stimulus_means
-from feel321.analysis.table.items import (
-    Items,
-    Table,
-    choose_arms,
-    choose_metrics,
-    make_items,
-    split_tests,
-)
+from feel321.analysis.table.items import Items, Table, choose_arms, make_items
 from feel321.analysis.table.schema import PAIR
 from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
@@ -84,13 +77,10 @@ def correlate(  # noqa: PLR0913 - which rows, and how
     of R: with R in both places it covered the truth in 67 % (P = 2) and 76 % (P = 3) of simulated studies. A draw is
     undefined, and left out, if it has fewer than three different stimuli, a constant, or all points on one line.
 
-    ``pearson`` asks how straight the relation is, ``spearman`` and ``kendall`` how monotone. All three also count that
-    a recording with a higher metric is rated higher, whatever the reason. The within methods compare stimuli of the
-    same recording only: with z_r = atanh of the correlation in recording r, tanh(Σ z_r / R), over the recordings in
-    which it is defined (three stimuli, neither constant); that is the claim about a metric of reducers. By ranks a
-    perfect z_r of n items counts as 1 - 6 / (n (n² - 1)). The mean z leans to the far side by about
-    r / (2 (n_r - 1)); the intervals of ``within`` are drawn about the mean z less that, or they would cover 91 % at six
-    stimuli a recording (sim).
+    The within methods compare stimuli of the same recording only, which is the claim about a metric of reducers: with
+    z_r = atanh of the correlation in recording r, tanh(Σ z_r / R), over the recordings in which it is defined. By ranks
+    a perfect z_r of n items counts as 1 - 6 / (n (n² - 1)). The mean z leans to the far side by about
+    r / (2 (n_r - 1)); the intervals of ``within`` are drawn about the mean z less that.
 
     References
     ----------
@@ -167,60 +157,6 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
     names = (first, second)
     items = make_items(choose_arms(ratings, scale, level), names)
     return correlate_items(items, names, method, draws=draws, rng=rng).compare(*names)
-
-
-def tabulate_correlations(
-    table: Table | DataFrame,
-    metrics: Sequence[str] | None = None,
-    *,
-    method: str = "pearson",
-    draws: int = 2000,
-    rng: Rng = 0,
-) -> DataFrame:
-    """Correlate the ratings of every scale and level with every metric.
-
-    Parameters
-    ----------
-    table : Table or DataFrame
-        Ratings, as for `correlate`, of one or several scales and levels.
-    metrics : sequence of str, optional
-        Columns to correlate with; the table's own if left out.
-    method : str
-        As for `correlate`; ``all`` for every method.
-    draws : int
-        Number of bootstrap draws, at least 2.
-    rng : int or Generator
-        Seed, or source of randomness.
-
-    Returns
-    -------
-    DataFrame
-        A row per scale, level, metric and method, with the values of `correlate`.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> tidy = pd.DataFrame({"participant": list("aaaabbbb"), "recording": list("rrssrrss"), "scale": "realism",
-    ...     "reducer": ["mag321", "dft321"] * 4, "good": [0.2, 1, 0.4, 1] * 2, "poor": [0.3, 0.1, 0.9, 0.2] * 2,
-    ...     "rating": [20, 70, 35, 90, 25, 80, 30, 75]})
-    >>> found = analysis.tabulate_correlations(tidy, ["good", "poor"], draws=100)
-    >>> found[["scale", "metric", "value"]].round(1)
-         scale metric  value
-    0  realism   good    1.0
-    1  realism   poor   -0.6
-    """
-    import pandas as pd
-
-    names = choose_metrics(table, metrics)
-    methods, seed = resampling.METHODS if method == "all" else [method], as_rng(rng).integers(2**63)
-    rows = []
-    for part in split_tests(table):
-        items = make_items(part.rows, names)
-        of = correlate_methods(items, names, methods, draws=draws, rng=int(seed))
-        found = (one.associate(name) for name in names for one in of)
-        rows += [{"scale": part.scale, "level": part.level, **one} for one in found]
-    return pd.DataFrame(rows).assign(notes=lambda found: found["notes"].map(" ".join))
 
 
 def correlate_items(
@@ -306,7 +242,7 @@ def _count(items: Items) -> dict[str, int]:
 
 
 def _explain(items: Items, drawn: resampling.Draws, metrics: Sequence[str]) -> Iterator[str]:
-    """Say what was left out, which interval the size does not allow, and what of the values."""
+    """Say what was left out, which interval the size does not allow, and why a correlation is not defined."""
     yield from items.notes
     if items.n_missing:
         yield f"{items.n_missing} of {items.ratings.size} participant x stimulus cells hold no rating."

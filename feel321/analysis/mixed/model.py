@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.mixed import optimum
-from feel321.analysis.mixed.design import MixedDesign, build_design, read_new_rows
+from feel321.analysis.mixed.design import MixedDesign, build_design
 from feel321.records import Statistic
 
 if TYPE_CHECKING:
@@ -93,23 +92,6 @@ class MixedFit(Statistic):
 
     __slots__ = ()
 
-    def predict(self, data: DataFrame) -> Samples:
-        """Predict new rows for people and stimuli in general, that is without random effects.
-
-        Parameters
-        ----------
-        data : DataFrame
-            The columns of the fixed part.
-
-        Returns
-        -------
-        ndarray, shape (n_rows,)
-            Predicted responses.
-        """
-        columns = read_new_rows(list(self.fixed.index), self.coding, data)
-        predicted: Samples = columns @ self.fixed["estimate"].to_numpy()
-        return predicted
-
 
 def fit_mixed(
     formula: str, data: DataFrame, *, reml: bool = True, penalty: Sequence[str] = ()
@@ -137,34 +119,28 @@ def fit_mixed(
         ``fixed``, indexed by ``term``: estimate, se, df (Satterthwaite), t, p, low and high (95 %); ``variances``, the
         random effects' spreads: group, term, sd; ``correlations`` within ``(1 + x | group)``; ``residual_sd``;
         ``criterion``, -2 log (restricted) likelihood at its maximum, without the penalty; ``singular``, whether a
-        spread is zero or effects are perfectly tied; ``marginal_r2 conditional_r2``; ``effects``, the predicted random
-        effects: group, level, term, value; ``fitted residuals``, (n_rows,), with the random effects; ``formula reml
-        n_rows n_levels notes``; ``predict(data)``.
+        spread is zero or effects are perfectly tied; ``marginal_r2 conditional_r2``; ``fitted residuals``, (n_rows,),
+        with the random effects; ``formula reml n_rows n_levels notes``.
 
     Raises
     ------
     ValueError
-        If the formula cannot be read, a column is missing or has gaps, the data cannot tell the effects apart
-        (one level only, a level for every row, effects that are sums of others), or leave no residual.
+        If the formula cannot be read, a column is missing or has gaps, or the data cannot tell the effects apart.
     TypeError
         If the data are no DataFrame.
 
     Notes
     -----
-    Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). Use it where
-    observations share people, recordings or stimuli; a person's slope belongs into the brackets whenever the
-    claim is about people in general (without, its standard error is several times too small). Do not use it
-    for grouping factors of two or three levels if their spread is the question, nor for ratings piled up at
-    the ends of the scale.
+    Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). A person's slope
+    belongs into the brackets whenever the claim is about people in general. Do not use it for grouping factors of two
+    or three levels if their spread is the question, nor for ratings piled up at the ends of the scale.
 
     The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope;
     degrees of freedom are Satterthwaite's, as in lmerTest. With few levels a spread is often estimated as zero when it
-    is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance,
-    which is the mode under a gamma(2, λ) prior with λ -> 0 (Chung et al. 2013). It enters the degrees of freedom too,
-    not the criterion. A spread of zero (a singular fit) is normal in
+    is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance (Chung et al.
+    2013). It enters the degrees of freedom too, not the criterion. A spread of zero (a singular fit) is normal in
     small studies: it stays in the model as zero, and the notes say so. R² is Nakagawa's and Schielzeth's with
-    Johnson's extension to slopes: the fixed predictions' variance, plus the mean over rows of the random
-    effects' variance, plus s².
+    Johnson's extension to slopes.
 
     References
     ----------
@@ -209,6 +185,37 @@ class Solved(NamedTuple):
         values = np.array([weights.get(name, 0.0) for name in self.profile.design.names])
         return estimate_sum(self.coefficients, values, self.uncertainty)
 
+    def list_spreads(self) -> Iterator[tuple[str, tuple[str, ...], Samples]]:
+        """List group, effects and covariance of what varies together, in the order of the formula."""
+        variance = optimum.find_sigma(self.profile, self.best) ** 2
+        covariances = optimum.find_spreads(self.profile, self.best)
+        for block, covariance in zip(self.profile.blocks, covariances, strict=True):
+            start = 0
+            for term in block.factor.terms:
+                place = slice(start, start := start + len(term.names))
+                yield block.factor.name, term.names, covariance[place, place] * variance
+
+    def note_zeros(self) -> tuple[str, ...]:
+        """Say what makes a fit singular; nothing for a regular one."""
+        zero, tied = [], []
+        for group, names, covariance in self.list_spreads():
+            sd = np.sqrt(np.diag(covariance))
+            zero += [f"{name} over {group}" for name in np.array(names)[sd == 0]]
+            size = np.outer(sd, sd)
+            bound = (np.abs(covariance) > BOUND * size) & (size > 0)
+            pairs = np.argwhere(np.tril(bound, -1))
+            tied += [f"{names[i]} and {names[j]} over {group}" for j, i in pairs]
+        lead, notes = "Singular fit:", list[str]()
+        if zero:
+            notes.append(f"{lead} the spread of {'; '.join(zero)} is estimated as zero, and kept.")
+        if tied:
+            notes.append(
+                f"{lead} the effects {'; '.join(tied)} are estimated as perfectly correlated."
+            )
+        if (self.best.theta[self.profile.diagonal] == 0).any() and not notes:
+            notes.append(f"{lead} some random effects are estimated as weighted sums of others.")
+        return tuple(notes)
+
 
 def solve_design(
     design: MixedDesign,
@@ -220,16 +227,19 @@ def solve_design(
 ) -> Solved:
     """Minimise a design's deviance; start: a fit of the same terms to nearly the same data, for speed."""
     profile = optimum.Profile(design, reml=reml, penalty=penalty)
+    terms, before = (
+        one
+        and [
+            (block.factor.name, [term.names for term in block.factor.terms]) for block in one.blocks
+        ]
+        for one in (profile, start and start.profile)
+    )
     with optimum.hold_threads(profile.n_random):
-        alike = start is not None and _list_terms(start.profile) == _list_terms(profile)
-        best = optimum.find_optimum(profile, start=start.best.theta if start and alike else None)
+        theta = start.best.theta if start and terms == before else None
+        best = optimum.find_optimum(profile, start=theta)
         best, uncertainty = find_uncertainty(profile, best, most_df=most_df)
         coefficients, _ = optimum.find_coefficients(profile, best)
         return Solved(profile, best, coefficients, uncertainty)
-
-
-def _list_terms(profile: optimum.Profile) -> list[tuple[str, tuple[str, ...]]]:
-    return [(one.name, term.names) for one in profile.design.factors for term in one.terms]
 
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:
@@ -237,45 +247,53 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     import pandas as pd
 
     profile, best, design = solved.profile, solved.best, solved.profile.design
-    rows = [solved.estimate({name: 1.0}) for name in design.names]
-    variances, correlations = _tabulate_spreads(profile, best)
+    residual_sd, notes = optimum.find_sigma(profile, best), solved.note_zeros()
+    spreads, ties = [], []
+    for group, names, covariance in solved.list_spreads():
+        sd = np.sqrt(np.diag(covariance))
+        spreads += [(group, name, value) for name, value in zip(names, sd, strict=True)]
+        for j, i in zip(*np.tril_indices(len(names), -1), strict=True):
+            size = float(sd[i] * sd[j])
+            tie = float(np.clip(covariance[i, j] / size, -1, 1)) if size > 0 else float("nan")
+            ties.append((group, names[i], names[j], tie))
+    columns = ["group", "first", "second", "correlation"]
     predicted = design.fixed @ solved.coefficients
-    fitted, effects = _predict(profile, best, predicted)
-    notes = note_zeros(solved)
-    residual_sd = optimum.find_sigma(profile, best)
-    random = sum(
-        float(np.einsum("ni,ij,nj->", block.factor.columns, covariance, block.factor.columns))
-        for block, covariance in zip(
-            profile.blocks, optimum.find_spreads(profile, best), strict=True
-        )
-    )
+    fitted, random = predicted, 0.0
+    modes = optimum.find_modes(profile, best.theta)
+    for block, effects, covariance in zip(
+        profile.blocks, modes, optimum.find_spreads(profile, best), strict=True
+    ):
+        own = block.factor.columns
+        fitted = fitted + np.sum(own * effects[block.factor.index], axis=1)
+        random += float(np.einsum("ni,ij,nj->", own, covariance, own))
     # Nakagawa's R².
-    parts = [
-        float(np.var(predicted, ddof=1)),
+    parts = np.array([
+        np.var(predicted, ddof=1),
         random / profile.n_rows * residual_sd**2,
         residual_sd**2,
-    ]
-    fixed = pd.DataFrame(rows, index=pd.Index(design.names, name="term"))
+    ])
+    rows = [solved.estimate({name: 1.0}) for name in design.names]
     return MixedFit(
-        "MixedFit", formula=formula, reml=profile.reml, fixed=fixed,
-        variances=variances, correlations=correlations, residual_sd=residual_sd, criterion=profile.deviance(best),
-        singular=bool(notes), marginal_r2=parts[0] / sum(parts), conditional_r2=sum(parts[:2]) / sum(parts),
-        effects=effects, fitted=fitted, residuals=design.response - fitted, uncertainty=solved.uncertainty,
-        n_rows=profile.n_rows, n_levels={factor.name: len(factor.levels) for factor in design.factors}, notes=notes,
-        coding=design.coding,
+        "MixedFit", formula=formula, reml=profile.reml,
+        fixed=pd.DataFrame(rows, index=pd.Index(design.names, name="term")),
+        variances=pd.DataFrame(spreads, columns=["group", "term", "sd"]),
+        correlations=pd.DataFrame(ties, columns=columns).astype({"correlation": float}),
+        residual_sd=residual_sd, criterion=profile.deviance(best), singular=bool(notes),
+        marginal_r2=float(parts[0] / parts.sum()), conditional_r2=float(parts[:2].sum() / parts.sum()),
+        fitted=fitted, residuals=design.response - fitted, uncertainty=solved.uncertainty, n_rows=profile.n_rows,
+        n_levels={factor.name: factor.n_levels for factor in design.factors}, notes=notes,
     )  # fmt: skip
 
 
-def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Statistic:
+def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Statistic:
     """Estimate a weighted sum of fixed effects, such as the difference of two slopes.
 
     Parameters
     ----------
     fit : MixedFit
         The model.
-    weights : Mapping of str to float, or str
-        Term -> weight; terms left out count 0. Or in words: ``"a - b"``, ``"0.5 * a + 2 * b"``; terms that hold signs
-        themselves are for the mapping.
+    weights : Mapping of str to float
+        Term -> weight; terms left out count 0.
 
     Returns
     -------
@@ -290,8 +308,7 @@ def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Statistic:
 
     Notes
     -----
-    The same as lmerTest's ``contest1D``: the covariance of the effects is accounted for, and the degrees of
-    freedom are those of the contrast, not of either effect.
+    The same as lmerTest's ``contest1D``: the degrees of freedom are those of the contrast, not of either effect.
 
     Examples
     --------
@@ -300,102 +317,15 @@ def contrast(fit: MixedFit, weights: Mapping[str, float] | str) -> Statistic:
     >>> data = pd.DataFrame({"who": list("aaabbbcccddd"), "x": list("uvw") * 4,
     ...     "y": [1.0, 2, 4, 3, 5, 6, 2, 2, 4, 5, 7, 8]})
     >>> fit = analysis.fit_mixed("y ~ x + (1 | who)", data)
-    >>> difference = analysis.contrast(fit, "xw - xv")
+    >>> difference = analysis.contrast(fit, {"xw": 1, "xv": -1})
     >>> round(difference.estimate, 2), round(difference.se, 2), round(difference.df, 1)
     (1.5, 0.35, 6.0)
     """
     terms = list(fit.fixed.index)
-    wanted = dict(_read_weights(weights) if isinstance(weights, str) else weights)
-    values = np.array([float(wanted.get(name, 0)) for name in terms])
-    if not set(wanted) <= set(terms) or not np.isfinite(values).all() or not values.any():
+    values = np.array([float(weights.get(name, 0)) for name in terms])
+    if not set(weights) <= set(terms) or not np.isfinite(values).all() or not values.any():
         raise ValueError(
             f"weights must be finite numbers of terms of the model ({', '.join(terms)}), one of them other than 0, got "
-            f"{wanted}"
+            f"{dict(weights)}"
         )
     return estimate_sum(fit.fixed["estimate"].to_numpy(), values, fit.uncertainty)
-
-
-def _read_weights(text: str) -> dict[str, float]:
-    """Read a sum of terms such as ``a - 0.5 * b``."""
-    first, *others = re.split("([+-])", text)
-    signs, terms = ["+", *others[::2]], [first, *others[1::2]]
-    if others and not first.strip():  # the sum begins with a sign
-        signs, terms = signs[1:], terms[1:]
-    weights: dict[str, float] = {}
-    for sign, term in zip(signs, terms, strict=True):
-        found = re.fullmatch(r"(?:(\d+\.?\d*|\.\d+)\s*\*)?\s*([^*]+)", term.strip())
-        if not found:
-            raise ValueError(
-                f"weights must be a sum such as 'a - 0.5 * b', got {text!r}; write it so"
-            )
-        weights[found[2]] = weights.get(found[2], 0.0) + float(f"{sign}{found[1] or 1}")
-    return weights
-
-
-def _tabulate_spreads(profile: optimum.Profile, best: optimum.State) -> tuple[DataFrame, DataFrame]:
-    """Write the random effects' spreads and their correlations as tables, in the order of the formula."""
-    import pandas as pd
-
-    spreads, ties = [], []
-    for group, names, covariance in list_spreads(profile, best):
-        sd = np.sqrt(np.diag(covariance))
-        spreads += [(group, name, value) for name, value in zip(names, sd, strict=True)]
-        for j, i in zip(*np.tril_indices(len(names), -1), strict=True):
-            size = float(np.sqrt(covariance[i, i] * covariance[j, j]))
-            tie = float(np.clip(covariance[i, j] / size, -1, 1)) if size > 0 else float("nan")
-            ties.append((group, names[i], names[j], tie))
-    columns = ["group", "first", "second", "correlation"]
-    return (
-        pd.DataFrame(spreads, columns=["group", "term", "sd"]),
-        pd.DataFrame(ties, columns=columns).astype({"correlation": float}),
-    )
-
-
-def list_spreads(
-    profile: optimum.Profile, best: optimum.State
-) -> Iterator[tuple[str, tuple[str, ...], Samples]]:
-    """List group, effects and covariance of what varies together, in the order of the formula."""
-    sigma = optimum.find_sigma(profile, best)
-    for block, covariance in zip(profile.blocks, optimum.find_spreads(profile, best), strict=True):
-        start = 0
-        for term in block.factor.terms:
-            place = slice(start, start := start + len(term.names))
-            yield block.factor.name, term.names, covariance[place, place] * sigma**2
-
-
-def _predict(
-    profile: optimum.Profile, best: optimum.State, fitted: Samples
-) -> tuple[Samples, DataFrame]:
-    """Add the predicted random effects to what the fixed effects predict, and tabulate them."""
-    import pandas as pd
-
-    tables = []
-    for block, values in zip(profile.blocks, optimum.find_modes(profile, best.theta), strict=True):
-        factor = block.factor
-        fitted = fitted + np.sum(factor.columns * values[factor.index], axis=1)
-        names = [name for term in factor.terms for name in term.names]
-        levels, terms = np.tile(factor.levels, len(names)), np.repeat(names, len(factor.levels))
-        columns = {"group": factor.name, "level": levels, "term": terms, "value": values.T.ravel()}
-        tables.append(pd.DataFrame(columns))
-    return fitted, pd.concat(tables, ignore_index=True)
-
-
-def note_zeros(solved: Solved) -> tuple[str, ...]:
-    """Say what makes a fit singular; nothing for a regular one."""
-    profile, theta = solved.profile, solved.best.theta
-    zero, tied = [], []
-    for group, names, covariance in list_spreads(profile, solved.best):
-        sd = np.sqrt(np.diag(covariance))
-        zero += [f"{name} over {group}" for name in np.array(names)[sd == 0]]
-        size = np.outer(sd, sd)
-        bound = (np.abs(covariance) > BOUND * size) & (size > 0)
-        for j, i in np.argwhere(np.tril(bound, -1)):
-            tied.append(f"{names[i]} and {names[j]} over {group}")
-    lead, notes = "Singular fit:", list[str]()
-    if zero:
-        notes.append(f"{lead} the spread of {'; '.join(zero)} is estimated as zero, and kept.")
-    if tied:
-        notes.append(f"{lead} the effects {'; '.join(tied)} are estimated as perfectly correlated.")
-    if (theta[profile.diagonal] == 0).any() and not notes:
-        notes.append(f"{lead} some random effects are estimated as weighted sums of others.")
-    return tuple(notes)

@@ -22,19 +22,18 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.analysis.mixed.design import nest
-
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from feel321.analysis.mixed.design import Codes, Factor, MixedDesign, Nested
+    from feel321.analysis.mixed.design import Factor, MixedDesign
     from feel321.types import Samples
 
+Codes: TypeAlias = "NDArray[np.intp]"
 
 MOST_LEVELS = 10_000
 """Effects beside those of the unit: with more, the dense equations alone need gigabytes."""
@@ -69,13 +68,23 @@ some thousands is known to."""
 
 @dataclass(frozen=True)
 class Block:
-    """A factor's scale, (width,), and its triangle of spreads: entries [rows, columns] are theta[theta]."""
+    """A factor's scale, (width,), and its triangle of spreads: entries [rows, columns] are theta[theta].
+
+    Where the factor is nested in the unit, place is the number of each of its levels among the unit's, (n_levels,).
+    """
 
     factor: Factor
     scale: Samples
     theta: slice
     rows: Codes
     columns: Codes
+    unit: Codes
+    place: Codes | None
+
+    @property
+    def count(self) -> int:
+        """Number of its levels that one set of columns holds: those of a unit, or all."""
+        return self.factor.n_levels if self.place is None else int(self.place.max()) + 1
 
     def triangle(self, theta: Samples) -> Samples:
         """Write the parameters as a triangle, (width, width)."""
@@ -84,7 +93,7 @@ class Block:
         return lower
 
 
-def place_factors(factors: Sequence[Factor]) -> Iterator[Block]:
+def place_factors(factors: Sequence[Factor], unit: Factor) -> Iterator[Block]:
     """Place the parameters: factor by factor and term by term, each term a lower triangle."""
     start = 0
     for factor in factors:
@@ -94,57 +103,53 @@ def place_factors(factors: Sequence[Factor]) -> Iterator[Block]:
             corner += len(term.names)
         rows, columns = np.hstack(places)
         scale = np.sqrt(np.mean(factor.columns**2, axis=0))
-        yield Block(factor, scale, slice(start, start + len(rows)), rows, columns)
+        theta = slice(start, start + len(rows))
+        yield Block(factor, scale, theta, rows, columns, *nest(factor, unit))
         start += len(rows)
+
+
+def nest(factor: Factor, unit: Factor) -> tuple[Codes, Codes | None]:
+    """Find the unit of every level of a factor, and its number there; None where one belongs to several."""
+    owner = np.empty(factor.n_levels, np.intp)
+    owner[factor.index] = unit.index
+    if (owner[factor.index] != unit.index).any():
+        return owner, None
+    sizes, place = np.bincount(owner), np.empty(len(owner), np.intp)
+    first = np.repeat(np.cumsum(sizes) - sizes, sizes)
+    place[np.argsort(owner, kind="stable")] = np.arange(len(owner)) - first
+    return owner, place
 
 
 class Spread:
     """L of some blocks' columns, and where these stand: L[rows, columns] = theta[places], 1 for the extra columns."""
 
-    def __init__(self, blocks: Sequence[Block], counts: Sequence[int], *, extra: int = 0) -> None:
+    def __init__(self, blocks: Sequence[Block], *, extra: int = 0) -> None:
         self.n_effects, self.first, parts = 0, dict[str, "Codes"](), [(np.empty(0, np.intp),) * 3]
-        for block, count in zip(blocks, counts, strict=True):
-            start = self.n_effects + len(block.scale) * np.arange(count)
-            self.n_effects += len(block.scale) * count
+        for block in blocks:
+            start = self.n_effects + len(block.scale) * np.arange(block.count)
+            self.n_effects += len(block.scale) * block.count
             self.first[block.factor.name] = start
             places = np.arange(block.theta.start, block.theta.stop)
             rows, columns = (start[:, None] + one for one in (block.rows, block.columns))
-            parts.append((rows.ravel(), columns.ravel(), np.tile(places, count)))
+            parts.append((rows.ravel(), columns.ravel(), np.tile(places, block.count)))
         self.rows, self.columns, self.places = map(np.concatenate, zip(*parts, strict=True))
-        self.size, straight = self.n_effects + extra, self.rows == self.columns
-        self.own, self.scales = self.rows[straight], self.places[straight]
-        self.ties = [
-            (place, self.rows[at], self.columns[at])
-            for place in np.unique(self.places[~straight])
-            for at in [self.places == place]
-        ]
+        self.size, self.straight = self.n_effects + extra, bool((self.rows == self.columns).all())
 
     def times(self, matrix: Samples, theta: Samples, *, turned: bool = False) -> Samples:
         """Multiply matrices, (..., size), by L; turned: by L'."""
-        found: Samples = matrix * self._find_scales(theta)
-        for place, rows, columns in self.ties:
-            before, after = (columns, rows) if turned else (rows, columns)
-            found[..., after] += theta[place] * matrix[..., before]
+        if self.straight:
+            scales = np.ones(self.size)
+            scales[self.rows] = theta[self.places]
+            return matrix * scales
+        lower = np.eye(self.size)
+        lower[self.rows, self.columns] = theta[self.places]
+        found: Samples = matrix @ (lower.T if turned else lower)
         return found
 
     def around(self, matrix: Samples, theta: Samples, *, turned: bool = False) -> Samples:
         """Compute L' M L of symmetric matrices, (..., size, size); turned: L M L'."""
-        if not self.ties:
-            scales = self._find_scales(theta)
-            return matrix * (scales[:, None] * scales)
         half = self.times(matrix, theta, turned=turned)
         return self.times(half.swapaxes(-1, -2), theta, turned=turned)
-
-    def differentiate(self, matrix: Samples, adjoint: Samples, n_theta: int) -> Samples:
-        """Sum what each parameter moves: half the derivative of tr(adjoint L' M L), with M L as matrix."""
-        along = np.einsum("ij,ij->i", matrix[self.rows], adjoint[self.columns])
-        found: Samples = np.bincount(self.places, along, n_theta).astype(np.float64, copy=False)
-        return found
-
-    def _find_scales(self, theta: Samples) -> Samples:
-        scales = np.ones(self.size)
-        scales[self.own] = theta[self.scales]
-        return scales
 
 
 @dataclass(frozen=True)
@@ -170,38 +175,45 @@ class Profile:
         self.design, self.reml, self.penalty = design, reml, tuple(penalty)
         self.n_rows, self.n_fixed = design.fixed.shape
         self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
-        self.blocks = tuple(place_factors(design.factors))
+        self.unit_factor = _choose_unit(design.factors)
+        self.n_units = self.unit_factor.n_levels
+        self.blocks = tuple(place_factors(design.factors, self.unit_factor))
         self.diagonal = np.concatenate([block.rows == block.columns for block in self.blocks])
         self.penalised = _find_penalised(self.blocks, penalty)
         # Every spread whose logarithm is penalised takes one residual's along, for spreads are in units of it.
         self.weight = self.freedom - int(self.penalised.sum())
-        self.unit_factor, self.nested = _choose_unit(design.factors)
-        self.n_units = len(self.unit_factor.levels)
-        own = [one for one in self.blocks if one.factor.name in self.nested]
-        shared = [one for one in self.blocks if one.factor.name not in self.nested]
-        counts = [int(self.nested[one.factor.name].place.max()) + 1 for one in own]
-        self.own = Spread(own, counts)
-        kinds, order = _find_kinds(design, self.unit_factor, self.nested)
-        self.each: Block | None = None
+        own = [one for one in self.blocks if one.place is not None]
+        shared = [one for one in self.blocks if one.place is None]
+        self.own = Spread(own)
         self.scatter, self.n_each = 0.0, self.n_rows // self.n_units
-        if not whole and self.n_units > 1 and not any(kinds):
-            first = order[: self.n_each]
-            found = (one for one in shared if _has_level_for_each(one.factor, first))
-            self.each = next(found, None) if self.n_each > self.own.size else None
+        kinds, order = self._find_kinds()
+        self.each: Block | None = None
+        if not whole and self.n_units > 1 and not kinds.any() and self.n_each > self.own.size:
+            self.each = _find_residual(shared, order[: self.n_each])
         if self.each is not None:
-            shared = [one for one in shared if one is not self.each]
-            levels = [len(one.factor.levels) for one in shared]
-            self.shared = Spread([*own, *shared], [*counts, *levels], extra=self.n_fixed + 1)
-            self._reduce_balanced(order.reshape(self.n_units, -1), own, shared)
+            blocks = [*own, *(one for one in shared if one is not self.each)]
+            self.shared = Spread(blocks, extra=self.n_fixed + 1)
+            self._reduce_balanced(order.reshape(self.n_units, -1), blocks)
             return
-        levels = [len(one.factor.levels) for one in shared]
-        self.shared = Spread(shared, levels, extra=self.n_fixed + 1)
-        if self.shared.n_effects > MOST_LEVELS:
+        self.shared = Spread(shared, extra=self.n_fixed + 1)
+        if self.n_random > MOST_LEVELS:
             raise ValueError(
                 f"data must have at most {MOST_LEVELS} effects beside those of {self.unit_factor.name}, for memory, "
-                f"got {self.shared.n_effects}; average repeated rows, or leave out a group with many levels"
+                f"got {self.n_random}; average repeated rows, or leave out a group with many levels"
             )
-        self._reduce_rows(np.array(kinds))
+        self._reduce_rows(kinds)
+
+    def _find_kinds(self) -> tuple[Codes, Codes]:
+        """Give one number to units with the same rows, but for y and for the names of what is their own; order rows."""
+        parts: list[NDArray[Any]] = [self.design.fixed]
+        for block in self.blocks:
+            index = block.factor.index
+            level = index if block.place is None else block.place[index]
+            parts += [block.factor.columns, level[:, None]]
+        rows, unit = np.hstack(parts) + 0.0, self.unit_factor.index  # no -0, whose bytes differ
+        order, known = np.lexsort([*rows.T, unit]), dict[bytes, int]()
+        whole = np.split(rows[order], np.cumsum(np.bincount(unit))[:-1])
+        return np.array([known.setdefault(one.tobytes(), len(known)) for one in whole]), order
 
     @property
     def n_random(self) -> int:
@@ -215,10 +227,10 @@ class Profile:
     def list_columns(self, block: Block) -> Codes:
         """List the columns of every level of a factor, (n_levels, width), those of the units first."""
         name = block.factor.name
-        if where := self.nested.get(name):
-            first = where.unit * self.own.size + self.own.first[name][where.place]
-        else:
+        if block.place is None:
             first = self.n_units * self.own.size + self.shared.first[name]
+        else:
+            first = block.unit * self.own.size + self.own.first[name][block.place]
         columns: Codes = first[:, None] + np.arange(len(block.scale))
         return columns
 
@@ -232,7 +244,7 @@ class Profile:
         self.scatter = scatter / self.unit**2
         return [basis, rest[:, None] / self.unit]
 
-    def _reduce_balanced(self, order: Codes, own: list[Block], shared: list[Block]) -> None:
+    def _reduce_balanced(self, order: Codes, blocks: list[Block]) -> None:
         """Keep the cross products of the mean over units, and of what deviates from it."""
         first, root = order[0], np.sqrt(self.n_units)
         values = self.design.response[order]
@@ -241,12 +253,11 @@ class Profile:
             root * self.design.fixed[first], root * values.mean(axis=0), float((deviation**2).sum())
         )
         columns = np.zeros((self.n_each, self.n_random))
-        for block in (*own, *shared):
-            name = block.factor.name
+        for block in blocks:
             level = block.factor.index[first]
-            level = self.nested[name].place[level] if name in self.nested else level
-            factor = 1.0 if name in self.nested else root
-            at = self.shared.first[name][level][:, None] + np.arange(len(block.scale))
+            level = level if block.place is None else block.place[level]
+            factor = root if block.place is None else 1.0
+            at = self.shared.first[block.factor.name][level][:, None] + np.arange(len(block.scale))
             scaled = factor * block.factor.columns[first] / block.scale
             np.put_along_axis(columns, at, scaled, axis=1)
         dense = np.hstack([columns, *ends])
@@ -273,12 +284,12 @@ class Profile:
         places = np.hstack([*columns, last]).ravel()
         rows = csr_array((entries.ravel(), places, starts), shape=(self.n_rows, width))
         products = (rows.T @ rows).tocsr()
-        _, index, self.kind = np.unique(kinds, return_index=True, return_inverse=True)
-        self.counts = np.bincount(self.kind).astype(np.float64)
         blocks = products[:tail, :tail].tocoo()
         inner = np.zeros((self.n_units, size, size))
         inner[blocks.row // size, blocks.row % size, blocks.col % size] = blocks.data
         border = products[:tail, tail:].toarray().reshape(self.n_units, size, -1)
+        _, index, self.kind = np.unique(kinds, return_index=True, return_inverse=True)
+        self.counts = np.bincount(self.kind).astype(np.float64)
         self.inner, self.border, self.seen = inner[index], border[index, :, :-1], border[:, :, -1]
         alike = [self.seen[self.kind == number] for number in range(len(index))]
         self.sums = np.stack([one.sum(axis=0) for one in alike])
@@ -295,7 +306,7 @@ class Profile:
         kept = self.own.around(inner, theta, turned=True)
         ratio, width = self.ratio(theta), self.shared.size - 1
         left = self.outer / ratio
-        if not self.each:
+        if self.each is None:
             through = (kept @ self.border).reshape(-1, width)
             weighted = (self.counts[:, None, None] * self.border).reshape(-1, width)
             left[:-1, :-1] -= weighted.T @ through
@@ -343,15 +354,18 @@ class Profile:
         adjoint = half[:size].T @ half[:size]
         last = half[-1] * np.sqrt(self.weight if weight is None else weight)
         adjoint += last[:, None] * last
-        slope = self.shared.differentiate(self.shared.times(state.left, theta), adjoint, n_theta)
+        # What each parameter moves: half the derivative of tr(adjoint L' M L).
+        moved = self.shared.times(state.left, theta)
+        along = np.einsum("ij,ij->i", moved[self.shared.rows], adjoint[self.shared.columns])
+        slope = np.bincount(self.shared.places, along, n_theta).astype(np.float64, copy=False)
         counts, seen = self.counts[:, None, None], adjoint[-1, -1] * self.squares
+        outside = self.shared.around(adjoint, theta, turned=True)
         if self.each:
             # Of a mean row's variance: it divides the products, and stands in the determinant once per row.
-            ratio, outside = self.ratio(theta), self.shared.around(adjoint, theta, turned=True)
+            ratio = self.ratio(theta)
             wider = (self.n_each - float((outside * self.outer).sum()) / ratio) / ratio
             slope[self.each.theta] += wider * self.n_units * theta[self.each.theta]
         else:
-            outside = self.shared.around(adjoint, theta, turned=True)
             mixed = (self.border @ outside[:-1, -1])[:, :, None] * self.sums[:, None, :]
             seen = seen + counts * (self.border @ outside[:-1, :-1] @ self.border.swapaxes(1, 2))
             seen += mixed + mixed.swapaxes(1, 2)
@@ -385,60 +399,43 @@ class Profile:
         return (hessian + hessian.T) / 2, slopes
 
 
+def _find_residual(blocks: Sequence[Block], rows: Codes) -> Block | None:
+    """Find the factor of which every row of a unit has a level of its own, with the same weight."""
+    for block in blocks:
+        factor, columns = block.factor, block.factor.columns[rows]
+        alone = len(np.unique(factor.index[rows])) == len(rows) == factor.n_levels
+        if alone and factor.width == 1 and (columns == columns[0]).all():
+            return block
+    return None
+
+
 def _find_penalised(blocks: Sequence[Block], names: Sequence[str]) -> NDArray[np.bool_]:
     """Mark the parameters, (n_theta,), whose logarithm is penalised: the spreads of the factors named."""
-    known = [block.factor.name for block in blocks]
-    if strangers := [name for name in names if name not in known]:
+    known = {one.factor.name for one in blocks if (one.rows == one.columns).all()}
+    if not set(names) <= known:
         raise ValueError(
-            f"penalty must name groups of the formula ({', '.join(known)}), got {strangers[0]!r}"
-        )
-    if any((block.rows != block.columns).any() for block in blocks if block.factor.name in names):
-        raise ValueError(
-            "penalty must name groups with uncorrelated effects, got correlated ones; write (1 + x || g)"
+            f"penalty must name groups of the formula with uncorrelated effects ({', '.join(sorted(known))}), got "
+            f"{', '.join(names)}; write (1 + x || g)"
         )
     return np.concatenate([
         np.full(len(block.rows), block.factor.name in names) for block in blocks
     ])
 
 
-def _choose_unit(factors: Sequence[Factor]) -> tuple[Factor, dict[str, Nested]]:
+def _choose_unit(factors: Sequence[Factor]) -> Factor:
     """Choose the factor that is cheapest to eliminate, with all that is nested in it."""
-    found = []
-    for unit in factors:
-        nested = {factor.name: where for factor in factors if (where := nest(factor, unit))}
-        own = sum(
-            int(nested[one.name].place.max() + 1) * one.width
-            for one in factors
-            if one.name in nested
-        )
-        shared = sum(len(one.levels) * one.width for one in factors if one.name not in nested)
-        cost = len(unit.levels) * float(own) ** 2 * (own + shared) + float(shared) ** 3
-        found.append((cost, unit, nested))
-    return min(found, key=lambda one: one[0])[1:]
 
+    def find_cost(unit: Factor) -> float:
+        own = shared = 0.0
+        for factor in factors:
+            _, place = nest(factor, unit)
+            if place is None:
+                shared += factor.n_levels * factor.width
+            else:
+                own += (int(place.max()) + 1) * factor.width
+        return unit.n_levels * own**2 * (own + shared) + shared**3
 
-def _find_kinds(
-    design: MixedDesign, unit: Factor, nested: dict[str, Nested]
-) -> tuple[list[int], Codes]:
-    """Give one number to units with the same rows, but for y and for the names of what is their own; order the rows."""
-    parts: list[NDArray[Any]] = [design.fixed]
-    for factor in design.factors:
-        where = nested.get(factor.name)
-        index = where.place[factor.index] if where else factor.index
-        parts += [factor.columns, index[:, None]]
-    rows = np.hstack(parts) + 0.0  # no -0, whose bytes differ
-    order = np.lexsort([*rows.T, unit.index])
-    known: dict[bytes, int] = {}
-    bounds = np.cumsum(np.bincount(unit.index))[:-1]
-    kinds = [known.setdefault(part.tobytes(), len(known)) for part in np.split(rows[order], bounds)]
-    return kinds, order
-
-
-def _has_level_for_each(factor: Factor, rows: Codes) -> bool:
-    """Check that every row of a unit has a level of its own, with the same weight."""
-    levels, columns = factor.index[rows], factor.columns
-    alone = factor.width == 1 and len(np.unique(levels)) == len(rows) == len(factor.levels)
-    return bool(alone and (columns == columns[0]).all())
+    return min(factors, key=find_cost)
 
 
 def find_sigma(profile: Profile, state: State) -> float:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,7 @@ import pandas as pd
 from feel321.analysis.page import render_words
 from feel321.analysis.power.closed import ClosedForm
 from feel321.analysis.power.simulate import Scenario, simulate_studies
-from feel321.analysis.power.truth import LEVEL, SIZES, PowerDesign, Truth
+from feel321.analysis.power.truth import LEAST, LEVEL, SIZES, PowerDesign, Truth
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.primary.plan import SCENE, SOURCE
 from feel321.analysis.words import format_count, format_name
@@ -22,8 +23,6 @@ from feel321.jobs import ALONE, Workers, as_workers
 from feel321.records import Result
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from pandas import DataFrame
 
     from feel321.types import PathLike, Progress
@@ -34,9 +33,6 @@ FACTORS: Mapping[str, tuple[float, ...]] = {
 """Sizes that are tried, as multiples of the given ones."""
 
 REPEATS = (1, 2, 3, 4)
-
-LEAST = {"participants": 6, "recordings": 4, "reducers": 3}
-"""No smaller number is tried unless it is asked for."""
 
 TRIED = 8
 """Designs that are simulated in search of one whose simulation does not contradict the closed form."""
@@ -57,9 +53,6 @@ ENOUGH, NOTHING, UNTESTABLE, CEILING, REFUTED, SMALL = (
 """Verdicts: a design is enough; or none is, and why."""
 
 
-# One design.
-
-
 @dataclass(frozen=True, slots=True)
 class Power:
     """The power of one design; NaN where there is none, or nothing was simulated.
@@ -76,6 +69,14 @@ class Power:
     studies: int
     seed: int
     notes: tuple[str, ...] = ()
+
+    def is_refuted(self, place: int) -> bool:
+        """Check whether a simulation lies below the wanted power as a whole, or gives hardly any test."""
+        row = self.table.iloc[place]
+        confirmed = row["simulated_high"] >= self.design.wanted
+        return bool(
+            self.studies and not (confirmed and row["tests"] >= LEAST_TESTED * self.studies)
+        )
 
 
 def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who does them, where they are kept
@@ -96,9 +97,12 @@ def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who d
     rows, notes = [], list(_list_notes(design, truth))
     for attribute, metric in design.hypotheses:
         form, slope = forms[metric], truth.find_slope(attribute, metric)
-        rows.append(
-            {"attribute": attribute, "metric": metric, "slope": slope} | _describe(form, slope)
-        )
+        se, df = form.find_errors()
+        rows.append({
+            "attribute": attribute, "metric": metric, "slope": slope, "se": se, "df": df,
+            "width": form.find_width(), "power": form.find_power(slope), "ceiling": form.find_ceiling(slope),
+            "detectable": form.find_detectable(), "recordings_needed": form.find_recordings(slope),
+        })  # fmt: skip
         if slope and (lack := form.find_lack()):
             notes.append(f"The planted slope of {metric} on {attribute} cannot be tested: {lack}.")
     p = np.empty((0, len(rows)))
@@ -112,15 +116,6 @@ def find_power(  # noqa: PLR0913 - a design and a truth; how many studies, who d
             notes.append(f"{lost} of {studies} simulated studies gave no test and are excluded.")
     table = pd.DataFrame(rows).join(tabulate_shares(p))
     return Power(design, truth, table, studies, seed, tuple(notes))
-
-
-def _describe(form: ClosedForm, slope: float) -> dict[str, float]:
-    se, df = form.find_errors()
-    return {
-        "se": se, "df": df, "width": form.find_width(), "power": form.find_power(slope),
-        "ceiling": form.find_ceiling(slope), "detectable": form.find_detectable(),
-        "recordings_needed": form.find_recordings(slope),
-    }  # fmt: skip
 
 
 def tabulate_shares(p: np.ndarray) -> DataFrame:
@@ -158,9 +153,6 @@ def _list_notes(design: PowerDesign, truth: Truth) -> Iterator[str]:
             "Several recordings come from one source; what else they share is not simulated, so actual "
             "power is lower."
         )
-
-
-# Many designs.
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -265,13 +257,7 @@ def describe_plan(plan: PowerPlan, *, share: int = 1, size: float = 1.0, per: st
 
 
 def format_power(power: float) -> str:
-    """Write a power without claiming certainty.
-
-    Examples
-    --------
-    >>> format_power(0.812), format_power(0.998), format_power(0.004), format_power(float("nan"))
-    ('0.81', '> 0.99', '< 0.01', 'not estimable')
-    """
+    """Write a power without claiming certainty."""
     if not math.isfinite(power):
         return "not estimable"
     if power > SURE:
@@ -290,22 +276,6 @@ def format_simulated(row: Mapping[Any, Any]) -> str:
 def describe_units(recordings: int, reducers: int) -> str:
     """Describe how many stimuli a design has."""
     return f"{format_count(recordings, 'recording')} × {format_count(reducers, 'reducer')}"
-
-
-class Row(NamedTuple):
-    """A design in closed form, for the hypothesis that is planned for."""
-
-    design: PowerDesign
-    kind: str
-    power: float
-    ceiling: float
-    detectable: float
-    width: float
-
-    @property
-    def is_enough(self) -> bool:
-        """Whether it has the wanted power in closed form."""
-        return self.power >= self.design.wanted
 
 
 def plan_power(  # noqa: PLR0913 - what varies, for what; how many studies, who does them, who watches
@@ -359,16 +329,14 @@ def plan_power(  # noqa: PLR0913 - what varies, for what; how many studies, who 
 
     Notes
     -----
-    Closed form: standard errors of generalised least squares with the planted spreads, Welch's and Satterthwaite's
-    degrees of freedom, the noncentral t distribution at the level of Holm's first step. Simulation: studies are drawn,
-    fitted as `fit_primary` fits them, and tested by Holm's method over attributes x metrics.
+    Closed form: generalised least squares with the planted spreads, the noncentral t distribution at the level of
+    Holm's first step. Simulation: studies are drawn, fitted as `fit_primary` fits them, and tested by Holm's method.
 
-    For every combination of recordings, reducers and repeats that is tried, the smallest number of participants that
-    is enough in closed form is added to the table (``kind`` is smallest). The recommended design changes as few of
-    recordings, reducers and repeats as is needed, then takes the fewest trials of all participants together; where
-    numbers of participants are named, it has one of these. It is simulated: where the simulation refutes it (its whole
-    interval lies below the wanted power, or fewer than 90 % of the studies give a test), the next one is simulated that
-    detects a slope at least a fifth smaller, or where there is none the one that detects the smallest; up to 8 of them.
+    For every combination of recordings, reducers and repeats, the smallest number of participants that is enough in
+    closed form is added to the table. The recommended design changes as few of recordings, reducers and repeats as is
+    needed, then takes the fewest trials of all participants together; where numbers of participants are named, it has
+    one of these. Where its simulation refutes it, the next one is simulated that detects a slope at least a fifth
+    smaller, or where there is none the one that detects the smallest; up to 8 of them.
 
     Examples
     --------
@@ -384,44 +352,49 @@ def plan_power(  # noqa: PLR0913 - what varies, for what; how many studies, who 
     """
     aim = _choose_aim(design, truth, hypothesis)
     wanted = dict(zip(SIZES, (participants, recordings, reducers, repeats), strict=True))
-    rows = list(_tabulate(_list_designs(design, wanted), truth, aim))
-    runs: dict[tuple[int, ...], Power] = {}
+    search = _Search(truth, *aim, rows=[], runs={})
+    for kind, one in _list_designs(design, wanted):
+        search.add(one, kind)
+    allowed = set(participants) or {one.participants for one, _ in search.rows}
+    left = [
+        (one, row)
+        for one, row in search.rows
+        if row["power"] >= one.wanted and one.participants in allowed
+    ]
+    own = list(design.sizes.values())[1:]
 
-    def run(one: PowerDesign) -> Power:
-        done, key = len(runs), _key(one)
-        if key not in runs:
-            runs[key] = find_power(
-                one, truth, studies=studies, seed=seed, workers=workers, keep=keep,
-                progress=lambda part, whole: move(min(done, TRIED) * whole + part, (TRIED + 1) * whole),
-            )  # fmt: skip
-        return runs[key]
+    def rank(found: tuple[PowerDesign, Mapping[str, Any]]) -> tuple[int, int, int]:
+        one = found[0]
+        changed = sum(
+            size != same for size, same in zip([*one.sizes.values()][1:], own, strict=True)
+        )
+        return changed, one.trials * one.participants, one.participants
 
-    def rank(row: Row) -> tuple[int, int, int]:
-        pairs = zip(_key(row.design)[1:], _key(design)[1:], strict=True)
-        people = row.design.participants
-        return sum(size != own for size, own in pairs), row.design.trials * people, people
-
-    allowed = set(participants) or {row.design.participants for row in rows}
-    left = [row for row in rows if row.is_enough and row.design.participants in allowed]
     left.sort(key=rank)
-    chosen, most = None, math.inf
     with follow(progress, "power") as move:
+
+        def run(one: PowerDesign) -> Power:
+            done, key = len(search.runs), tuple(one.sizes.values())
+            if key not in search.runs:
+                search.runs[key] = find_power(
+                    one, truth, studies=studies, seed=seed, workers=workers, keep=keep,
+                    progress=lambda part, whole: move(min(done, TRIED) * whole + part, (TRIED + 1) * whole),
+                )  # fmt: skip
+            return search.runs[key]
+
         run(design)
-        for _ in range(TRIED):
+        most, chosen = math.inf, None
+        for _ in range(TRIED if left else 0):
+            strongest = min(left, key=lambda found: found[1]["detectable"])
+            one, row = next((each for each in left if each[1]["detectable"] <= most), strongest)
+            if not run(one).is_refuted(aim[0]):
+                chosen = one
+                break
+            left = [each for each in left if each[1]["detectable"] < row["detectable"]]
+            most = row["detectable"] * STEP
             if not left:
                 break
-            strongest = min(left, key=lambda row: row.detectable)
-            row = next((one for one in left if one.detectable <= most), strongest)
-            if not _is_refuted(run(row.design), aim[0]):
-                chosen = row
-                break
-            left = [one for one in left if one.detectable < row.detectable]
-            most = row.detectable * STEP
-    return _build_plan(rows, runs, chosen=chosen, aim=aim)
-
-
-def _key(design: PowerDesign) -> tuple[int, ...]:
-    return tuple(design.sizes.values())
+    return search.conclude(chosen)
 
 
 def _choose_aim(
@@ -455,86 +428,78 @@ def _list_designs(
     changes += [("one factor", {name: size}) for name in SIZES for size in sizes[name]]
     pairs = product(sizes["participants"], sizes["recordings"])
     changes += [("grid", {"participants": one, "recordings": two}) for one, two in pairs]
-    seen = set()
+    seen: list[dict[str, int]] = []
     for kind, change in changes:
         other = replace(design, **change)  # type: ignore[arg-type]  # sizes are numbers
-        if _key(other) not in seen:
-            seen.add(_key(other))
+        if other.sizes not in seen:
+            seen.append(other.sizes)
             yield kind, other
 
 
-def _tabulate(
-    designs: Iterator[tuple[str, PowerDesign]], truth: Truth, aim: tuple[int, int]
-) -> Iterator[Row]:
-    """Compute every design, and with the recordings, reducers and repeats of each the fewest participants."""
-    known = set()
+@dataclass(frozen=True, slots=True)
+class _Search:
+    """Designs in closed form for one hypothesis, by its place and that of its metric, and those simulated by size."""
 
-    def make_row(design: PowerDesign, kind: str) -> tuple[Row, float]:
-        form = ClosedForm(Scenario(design, truth), aim[1])
-        slope = float(form.scenario.planted.slopes.ravel()[aim[0]])
-        found = form.find_power(slope), form.find_ceiling(slope)
-        row = Row(design, kind, *found, form.find_detectable(), form.find_width())
-        others, number = _key(design)[1:], math.nan
-        if others not in known:
-            known.add(others)
-            number = form.find_participants(slope)
-        return row, number
+    truth: Truth
+    place: int
+    metric: int
+    rows: list[tuple[PowerDesign, dict[str, Any]]]
+    runs: dict[tuple[int, ...], Power]
+    known: set[tuple[int, ...]] = field(default_factory=set)
 
-    for kind, design in designs:
-        row, number = make_row(design, kind)
-        yield row
+    def add(self, design: PowerDesign, kind: str) -> None:
+        """Compute a design; the first with its recordings, reducers and repeats, with the fewest participants too."""
+        form = ClosedForm(Scenario(design, self.truth), self.metric)
+        slope = float(form.scenario.planted.slopes.ravel()[self.place])
+        power = form.find_power(slope)
+        self.rows.append((design, {
+            **design.sizes, "trials": design.trials, "kind": kind, "power": power,
+            "ceiling": form.find_ceiling(slope), "detectable": form.find_detectable(), "width": form.find_width(),
+        }))  # fmt: skip
+        others = tuple(design.sizes.values())[1:]
+        if others in self.known:
+            return
+        self.known.add(others)
+        number = form.find_participants(slope)
         if math.isfinite(number) and number != design.participants:
-            yield make_row(replace(design, participants=int(number)), "smallest")[0]
+            self.add(replace(design, participants=int(number)), "smallest")
 
-
-def _is_refuted(power: Power, place: int) -> bool:
-    """Check whether a simulation lies below the wanted power as a whole, or gives hardly any test."""
-    row = power.table.iloc[place]
-    confirmed = row["simulated_high"] >= power.design.wanted
-    return bool(power.studies and not (confirmed and row["tests"] >= LEAST_TESTED * power.studies))
-
-
-def _build_plan(
-    rows: list[Row],
-    runs: Mapping[tuple[int, ...], Power],
-    *,
-    chosen: Row | None,
-    aim: tuple[int, int],
-) -> PowerPlan:
-    first = next(iter(runs.values()))
-    given, notes = first.design, [note for power in runs.values() for note in power.notes]
-    listed = []
-    for row in rows:
-        power = runs.get(_key(row.design))
-        seen = dict.fromkeys(SIMULATED, math.nan)
-        if power:
-            seen = {name: float(power.table[name].iloc[aim[0]]) for name in SIMULATED}
-        is_refuted = bool(power and _is_refuted(power, aim[0]))
-        listed.append(
-            row.design.sizes
-            | {"trials": row.design.trials, **row._asdict(), **seen, "enough": row.is_enough}
-            | {"refuted": is_refuted, "recommended": row is chosen}
-        )
-        if row.is_enough and is_refuted:
-            units = describe_units(row.design.recordings, row.design.reducers)
-            found = format_power(seen["simulated"]).replace("not estimable", "no test")
-            notes.append(
-                f"Simulation contradicts the closed form of {row.design.participants} participants, {units}: "
-                f"{format_power(row.power)} in closed form, {found} in simulated studies."
+    def conclude(self, chosen: PowerDesign | None) -> PowerPlan:
+        """Put what was simulated beside the closed form, and say why no design is enough where none is."""
+        first = next(iter(self.runs.values()))
+        notes = [note for power in self.runs.values() for note in power.notes]
+        listed = []
+        for design, row in self.rows:
+            power, enough = (
+                self.runs.get(tuple(design.sizes.values())),
+                row["power"] >= design.wanted,
             )
-    table = pd.DataFrame(listed).drop(columns="design")
-    verdict = ENOUGH
-    if not chosen:
+            found, refuted = dict.fromkeys(SIMULATED, math.nan), False
+            if power:
+                found = {name: float(power.table[name].iloc[self.place]) for name in SIMULATED}
+                refuted = power.is_refuted(self.place)
+            judged = {"enough": enough, "refuted": refuted, "recommended": design is chosen}
+            listed.append(row | found | judged)
+            if enough and refuted:
+                units = describe_units(design.recordings, design.reducers)
+                share = format_power(found["simulated"]).replace("not estimable", "no test")
+                notes.append(
+                    f"Simulation contradicts the closed form of {design.participants} participants, {units}: "
+                    f"{format_power(row['power'])} in closed form, {share} in simulated studies."
+                )
+        table = pd.DataFrame(listed)
         verdicts = {
-            NOTHING: not first.table["slope"].iloc[aim[0]],
+            ENOUGH: chosen is not None,
+            NOTHING: not first.table["slope"].iloc[self.place],
             UNTESTABLE: table["power"].isna().all(),
             REFUTED: (table["enough"] & table["refuted"]).any(),
-            SMALL: table["ceiling"].max() >= given.wanted,
+            SMALL: table["ceiling"].max() >= first.design.wanted,
             CEILING: True,
         }
-        verdict = next(name for name, holds in verdicts.items() if holds)
-    return PowerPlan(
-        table=table, powers=tuple(runs.values()), hypothesis=given.hypotheses[aim[0]], wanted=given.wanted,
-        recommended=chosen.design if chosen else None, verdict=verdict,
-        lack=ClosedForm(Scenario(given, first.truth), aim[1]).find_lack(), notes=tuple(dict.fromkeys(notes)),
-    )  # fmt: skip
+        return PowerPlan(
+            table=table, powers=tuple(self.runs.values()), hypothesis=first.design.hypotheses[self.place],
+            wanted=first.design.wanted, recommended=chosen,
+            verdict=next(one for one, holds in verdicts.items() if holds),
+            lack=ClosedForm(Scenario(first.design, self.truth), self.metric).find_lack(),
+            notes=tuple(dict.fromkeys(notes)),
+        )  # fmt: skip

@@ -61,11 +61,6 @@ class Stimuli:
         within: Samples = self.metrics - (sums / counts[:, None])[self.scene]
         return within
 
-    @property
-    def has_sources(self) -> bool:
-        """Whether several recordings come from one source."""
-        return len(np.unique(self.source)) < len(np.unique(self.scene))
-
 
 class PlantedSlopes(NamedTuple):
     """A truth for one design; slopes: (n_attributes, n_metrics); centre, slope_sds, recording_sds: (n_metrics,)."""
@@ -100,11 +95,9 @@ class Scenario:
             usual = dict(zip(metrics, points / unit, strict=True))
             return np.array([given.get(name, usual[name]) for name in metrics], dtype=np.float64)
 
-        slopes = [
-            [truth.find_slope(one, name) for name in metrics] for one in self.design.attributes
-        ]
+        attributes = self.design.attributes
         return PlantedSlopes(
-            np.array(slopes),
+            np.array([[truth.find_slope(one, name) for name in metrics] for one in attributes]),
             settle(truth.slope_sds, truth.slope_points),
             settle(truth.recording_slope_sds, truth.recording_slope_points),
             self.stimuli.metrics.mean(axis=0),
@@ -162,20 +155,15 @@ def draw_ratings(scenario: Scenario, stimuli: Stimuli, rng: np.random.Generator)
     everybody += (theirs * stimuli.within).sum(axis=-1)[:, None]
     points = (everybody + own)[..., None] + draw(truth.rating_sd, people, n, design.repeats)
     points += (planted.slopes @ (stimuli.metrics - planted.centre).T)[:, None, :, None]
-    return _set_slider(points, truth, rng)
-
-
-def _set_slider(points: Samples, truth: Truth, rng: np.random.Generator) -> Samples:
-    """Turn percepts into ratings: by careful people, with lapses, and by careless ones."""
-    shares = np.cumsum([getattr(truth, name) for name in CARELESS])
+    # From percepts to the slider: careful people, with lapses, and careless ones.
+    shares, shape = np.cumsum([getattr(truth, name) for name in CARELESS]), points.shape
     if shares[-1] or truth.lapse_rate:
-        shape, people = points.shape, points.shape[1]
-        kind = np.searchsorted(shares, rng.random((people, 1, 1)), side="right")
+        who = np.searchsorted(shares, rng.random((people, 1, 1)), side="right")
         line = 100 * rng.uniform(0.2, 0.8, (people, 1, 1)) + rng.normal(0, STRAIGHT_SD, shape)
         guess, lapsed = rng.uniform(LOW, HIGH, shape), rng.random(shape) < truth.lapse_rate
-        points = np.where(kind == REVERSER, LOW + HIGH - points, points)
-        points = np.where(lapsed | (kind == CLICKER), guess, points)
-        points = np.where(kind == STRAIGHT, line, points)
+        points = np.where(who == REVERSER, LOW + HIGH - points, points)
+        points = np.where(lapsed | (who == CLICKER), guess, points)
+        points = np.where(who == STRAIGHT, line, points)
     if truth.step:
         points = np.round(points / truth.step) * truth.step
     return points.clip(LOW, HIGH) if truth.bounded else points
@@ -190,24 +178,8 @@ def tabulate_ratings(stimuli: Stimuli, ratings: Samples, metrics: tuple[str, ...
         WHO: who, SCENE: stimuli.scene[item], REDUCER: stimuli.kind[item], ITEM: item, "repeat": repeat + 1,
         RATING: ratings.ravel(), **dict(zip(metrics, stimuli.metrics[item].T, strict=True)),
     })  # fmt: skip
-    return table.assign(**{SOURCE: stimuli.source[item]}) if stimuli.has_sources else table
-
-
-# Studies.
-
-
-def fit_study(scenario: Scenario, rng: np.random.Generator) -> list[list[float]]:
-    """Draw a study and fit every attribute: p of every metric, NaN without a test; (n_attributes, n_metrics)."""
-    stimuli, metrics = scenario.draw(rng), scenario.design.metrics
-    found = []
-    for ratings in draw_ratings(scenario, stimuli, rng):
-        try:
-            cells = make_cells(tabulate_ratings(stimuli, ratings, metrics), metrics)
-            slopes = fit_slopes(cells).table["p"].reindex(metrics).tolist()
-        except (ValueError, np.linalg.LinAlgError):  # all ratings alike, or too few units
-            slopes = [float("nan")] * len(metrics)
-        found.append(slopes)
-    return found
+    several = len(np.unique(stimuli.source)) < len(np.unique(stimuli.scene))
+    return table.assign(**{SOURCE: stimuli.source[item]}) if several else table
 
 
 def simulate_studies(  # noqa: PLR0913 - what, how many, who does it, where it is kept, who watches
@@ -234,11 +206,8 @@ def simulate_studies(  # noqa: PLR0913 - what, how many, who does it, where it i
     for start in range(0, studies, CHUNK):
         places = range(start, min(start + CHUNK, studies))
         file = keep and keep / f"studies-{digest}-{places[0]:06d}-{places[-1]:06d}.json"
-        todo.append((
-            _simulate_chunk,
-            (design, truth),
-            {"seed": [seed, key], "places": places, "file": file},
-        ))
+        options = {"seed": [seed, key], "places": places, "file": file}
+        todo.append((_simulate_chunk, (design, truth), options))
     chunks: dict[int, str] = {}
     progress(0, len(todo))
     for place, text in jobs.run_jobs(todo, workers=workers):
@@ -252,20 +221,32 @@ def _simulate_chunk(
     design: PowerDesign, truth: Truth, *, seed: list[int], places: range, file: Path | None
 ) -> str:
     """Simulate some studies, and write their results as text, unless they are kept whole."""
-    if file and file.is_file() and _is_whole(text := file.read_text("utf-8"), len(places)):
-        return text
+    if file and file.is_file():
+        text = file.read_text("utf-8")
+        try:
+            kept: Any = json.loads(text)
+        except ValueError:  # damaged
+            kept = None
+        if isinstance(kept, list) and len(kept) == len(places):
+            return text
     scenario = Scenario(design, truth)
     with hold_threads(0):
-        found = [fit_study(scenario, np.random.default_rng([*seed, one])) for one in places]
+        found = [_fit_study(scenario, np.random.default_rng([*seed, one])) for one in places]
     text = json.dumps(found)
     if file:
         write_text(file, text)
     return text
 
 
-def _is_whole(text: str, count: int) -> bool:
-    try:
-        found: Any = json.loads(text)
-    except ValueError:
-        return False
-    return isinstance(found, list) and len(found) == count
+def _fit_study(scenario: Scenario, rng: np.random.Generator) -> list[list[float]]:
+    """Draw a study and fit every attribute: p of every metric, NaN without a test; (n_attributes, n_metrics)."""
+    stimuli, metrics = scenario.draw(rng), scenario.design.metrics
+    found = []
+    for ratings in draw_ratings(scenario, stimuli, rng):
+        try:
+            cells = make_cells(tabulate_ratings(stimuli, ratings, metrics), metrics)
+            slopes = fit_slopes(cells).table["p"].reindex(metrics).tolist()
+        except (ValueError, np.linalg.LinAlgError):  # all ratings alike, or too few units
+            slopes = [float("nan")] * len(metrics)
+        found.append(slopes)
+    return found

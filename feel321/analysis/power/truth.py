@@ -24,6 +24,9 @@ LEVEL = 0.05
 ENOUGH = 0.8
 """Power that is asked for."""
 
+LEAST = {"participants": 6, "recordings": 4, "reducers": 3}
+"""No smaller study is advised, however large the slope: intervals over fewer are too unsure of themselves."""
+
 LOW, HIGH = 0.0, 100.0
 """Ends of the scale."""
 
@@ -98,7 +101,7 @@ class PowerDesign:
             if not names:
                 raise ValueError(f"{name} must name at least one, got none")
             object.__setattr__(self, name, names)
-        object.__setattr__(self, "items", _check_items(self.items, self.metrics))
+        object.__setattr__(self, "items", self._read_items())
         for name, own in zip(("recordings", "reducers"), self._count_own(), strict=True):
             object.__setattr__(self, name, int(getattr(self, name)) or own)
         if not LEVEL < self.wanted < 1:
@@ -106,6 +109,23 @@ class PowerDesign:
         for name, least in zip(SIZES, (3, 1, 1, 1), strict=True):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} must be {least} or more, got {getattr(self, name)}")
+
+    def _read_items(self) -> DataFrame:
+        items, metrics = self.items, list(self.metrics)
+        check_columns(items, [SCENE, REDUCER, *metrics], "items")
+        if ITEM not in items:
+            names = items[SCENE].astype(str) + "/" + items[REDUCER].astype(str)
+            items = items.assign(**{ITEM: names})
+        kept = [SCENE, REDUCER, ITEM, *([SOURCE] if SOURCE in items else []), *metrics]
+        items = items[kept].reset_index(drop=True)
+        again = int(items.duplicated([SCENE, REDUCER]).sum())
+        bad = int((~np.isfinite(items[metrics].to_numpy(np.float64))).any(axis=1).sum())
+        if again or bad:
+            raise ValueError(
+                "items must have one stimulus per recording and reducer, of one level, and finite metrics, got "
+                f"{again} stimuli once more and {bad} without; leave them out"
+            )
+        return items
 
     def _count_own(self) -> tuple[int, int]:
         return int(self.items[SCENE].nunique()), int(self.items[REDUCER].nunique())
@@ -140,23 +160,6 @@ class PowerDesign:
     def trials(self) -> int:
         """Ratings that one person gives: stimuli x repeats x attributes."""
         return self.n_items * self.repeats * len(self.attributes)
-
-
-def _check_items(items: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
-    check_columns(items, [SCENE, REDUCER, *metrics], "items")
-    if ITEM not in items:
-        items = items.assign(**{ITEM: items[SCENE].astype(str) + "/" + items[REDUCER].astype(str)})
-    kept = [SCENE, REDUCER, ITEM, *([SOURCE] if SOURCE in items else []), *metrics]
-    items = items[kept].reset_index(drop=True)
-    if twice := items.loc[items.duplicated([SCENE, REDUCER]), ITEM].tolist():
-        raise ValueError(
-            f"items must have one stimulus per recording and reducer, got {twice[0]!r} once more; give one level only"
-        )
-    if bad := int((~np.isfinite(items[list(metrics)].to_numpy(np.float64))).any(axis=1).sum()):
-        raise ValueError(
-            f"items must have finite metrics, got {bad} stimuli without; leave them out"
-        )
-    return items
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,10 +209,8 @@ class Truth:
     Notes
     -----
     The defaults are rounded estimates of the primary model on ratings of 70 videos by 26 people (Netflix Public, 0 to
-    100): people 7.7, recordings 4.7, stimuli 7.2, reducers 5.2, people x recordings 5.2, people x reducers 1.6, slopes
-    3.1 and 0 points per standard deviation of the metric, single ratings 14.9. The last holds what one person thinks of
-    one stimulus, for nothing was rated twice; how it is divided here is an assumption. Give those of vibrations as soon
-    as there are some: `Truth.from_fit`.
+    100). Nothing was rated twice: how single ratings (14.9 points) divide into `person_item_sd` and `rating_sd` is an
+    assumption. Give those of vibrations as soon as there are some: `Truth.from_fit`.
 
     Examples
     --------
@@ -248,11 +249,12 @@ class Truth:
         for name, value in (*spreads, *self.slope_sds.items(), *self.recording_slope_sds.items()):
             if not 0 <= value < np.inf:
                 raise ValueError(f"{name} must be 0 or more, got {value}")
-        for name in SHARES:
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must be from 0 to 1, got {getattr(self, name)}")
-        if (careless := sum(getattr(self, name) for name in CARELESS)) > 1 + 1e-9:
-            raise ValueError(f"{', '.join(CARELESS)} must be at most 1 together, got {careless}")
+        shares = {name: getattr(self, name) for name in SHARES}
+        careless = sum(shares[name] for name in CARELESS)
+        if not all(0 <= share <= 1 for share in shares.values()) or careless > 1 + 1e-9:
+            raise ValueError(
+                f"{', '.join(SHARES)} must be from 0 to 1, the careless at most 1 together, got {shares}"
+            )
 
     @classmethod
     def from_fit(cls, primary: Primary, *, repeats: int = 1, **changes: object) -> Truth:
@@ -279,9 +281,8 @@ class Truth:
 
         Notes
         -----
-        The residual of a model of means holds what a person thinks of a stimulus, and the part of what repeats differ
-        by that averaging leaves. `rating_sd` among the changes separates them; where it is not given, all of the
-        residual is taken for the first, which no repeat makes smaller.
+        The residual of a model of means holds what a person thinks of a stimulus, and what averaging leaves of repeats.
+        `rating_sd` among the changes separates them; without it, all is taken for the first.
         """
         if unknown := set(changes) - set(cls.__dataclass_fields__):
             raise ValueError(f"changes must be fields of a Truth, got {sorted(unknown)[0]!r}")

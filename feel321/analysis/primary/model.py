@@ -17,8 +17,7 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.model import Solved, list_spreads, report_fit, solve_design
-from feel321.analysis.primary import rcode
+from feel321.analysis.mixed.model import Solved, report_fit, solve_design
 from feel321.analysis.primary.plan import (
     ALIKE,
     ITEM,
@@ -36,14 +35,10 @@ from feel321.analysis.primary.plan import (
     plan_terms,
 )
 from feel321.analysis.table.items import Table, choose_arms, choose_metrics, open_ratings
-from feel321.doors import as_path
-from feel321.files import make_folder, write_text
 from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-    from feel321.types import PathLike
 
 TENTH = 0.1
 FEW = 5
@@ -66,47 +61,11 @@ class Primary(Statistic):
 
     __slots__ = ()
 
-    def to_r(self, folder: PathLike | None = None) -> str:
-        """Write R code that fits the same model with lme4 and lmerTest.
-
-        Parameters
-        ----------
-        folder : path, optional
-            Where to put ``model.csv`` and ``model.R`` too.
-
-        Returns
-        -------
-        str
-            The content of ``model.R``, which reads ``model.csv``.
-        """
-        groups = [name for name in (WHO, SCENE, ITEM, REDUCER, SOURCE) if name in self.model_frame]
-        fit = rcode.write_fit(self.formula, "model", penalty=self.penalty)
-        text = "\n".join([
-            "library(lmerTest)",
-            'model <- read.csv("model.csv", check.names = FALSE)',
-            *(f"model${name} <- factor(model${name})" for name in groups),
-            *([rcode.PENALISED.rstrip()] if self.penalty else []),
-            f"# feel321 believes at most {self.fit.uncertainty.most_df:g} degrees of freedom.",
-            f"fit <- {fit}",
-            "print(summary(fit))",
-            "",
-        ])
-        if folder is not None:
-            make_folder(place := as_path(folder, "folder"))
-            write_text(place / "model.csv", self.model_frame.to_csv(index=False, na_rep="NA"))
-            write_text(place / "model.R", text)
-        return text
-
 
 class Primaries(Statistic):
     """The primary models of several attributes: attribute -> its model."""
 
     __slots__ = ()
-
-    @property
-    def models(self) -> dict[str, Primary]:
-        """The models by attribute."""
-        return dict(self)
 
     def to_frame(self) -> DataFrame:
         """Return all slopes, with p adjusted for their number.
@@ -117,7 +76,7 @@ class Primaries(Statistic):
             attribute, metric, the columns of a Primary's slopes, and p_holm: Holm's step-down adjustment over all
             rows that are estimable, which holds the chance of any false positive among them.
         """
-        return tabulate_slopes(self.models)
+        return tabulate_slopes(self)
 
 
 class Slopes(NamedTuple):
@@ -177,19 +136,17 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
         ``slopes`` within recordings, indexed by ``metric``: ``estimate se df t p low high`` per unit of the metric;
         ``quartile_effect quartile_low quartile_high`` in points from the lower to the upper quartile of the metric
         within recordings, over stimuli, which lie ``quartile_span`` apart; ``tenth tenth_low tenth_high`` points per
-        +0.1; ``standardised standardised_low standardised_high`` in standard deviations; ``centred centred_se
-        centred_df centred_p centred_low centred_high``, the slope per unit of the metric centred on recordings and on
-        reducers, whose differences are fixed effects then; ``plain plain_p`` the slope without level in the model, NaN
-        where level is not in it; and ``estimable``. Where that is False, only the estimates themselves are not NaN.
-        ``between``: slopes between recordings, empty where these are too few. ``differences``: every two metrics'
-        slopes compared, and with ``standardised_`` before, the standardised ones. ``formula fit``: the model, all of
-        it; ``marginal_r2 conditional_r2``, of the metrics and of everything; ``item_variance_explained``, the share of
-        the spread between stimuli of a recording that the metrics account for: 1 - the sum of these variances over that
-        of a model without metrics. ``averaged``: whether repeats were; ``n_rows n_participants n_recordings n_items
-        n_sources n_reducers``; ``model_frame``: what was fitted, every metric within (``_w``) and between recordings
-        (``_b``); ``penalty``: factors whose spread gets one; ``level``: ``in_model``, ``alike`` within recordings or
-        not separable, ``metric``, or ``unknown``; ``reductions``: what the full model has and this one has not, and
-        why; ``notes``.
+        +0.1; ``standardised`` with its ends, in standard deviations (within recordings, of the ratings); ``centred``
+        with ``centred_se`` and so on, the slope of the metric centred on recordings and on reducers, whose differences
+        are fixed effects then; ``plain plain_p`` the slope without level in the model, NaN where level is not in it;
+        and ``estimable``. Where that is False, only the estimates themselves are not NaN. ``between``: slopes between
+        recordings, empty where these are too few. ``differences``: every two metrics' slopes compared, and with
+        ``standardised_`` before, the standardised ones. ``formula fit``: the model, all of it; ``marginal_r2
+        conditional_r2``, of the metrics and of everything; ``item_variance_explained``, 1 - the variances between
+        stimuli of a recording over those of a model without metrics. ``averaged``: whether repeats were; ``n_rows
+        n_participants n_recordings n_items n_sources n_reducers``; ``reductions``, the terms that the data cannot
+        carry, and why; ``model_frame``, the table fitted; ``penalty``; ``level``, what became of level (``in_model``,
+        ``metric``, ``alike`` or ``unknown``); ``notes``.
 
     Raises
     ------
@@ -206,25 +163,19 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     is the metric minus its recording's mean, ``_b`` that mean. Restricted maximum likelihood, Satterthwaite's degrees
     of freedom, at most twice as many as recordings less two.
 
-    Recordings differ in their slopes as people do: without that term, every stimulus of a recording whose slope is
-    steep by chance counts as evidence of its own. Reducers are a random factor as stimuli are: metrics differ
-    mostly between reducers, so without these terms a reducer that feels odd in every recording counts as evidence
-    of as many stimuli as there are recordings. Where fewer than 8 reducers were rated, their spread gets the
-    penalty of Chung et al. (2013), -2 log SD added to the deviance, which keeps it from being estimated as zero
-    when it is only unknown.
+    Recordings differ in their slopes as people do, and reducers are a random factor as stimuli are: without these
+    terms a recording whose slope is steep by chance, or a reducer that feels odd everywhere, counts as evidence of as
+    many stimuli. Where fewer than 8 reducers were rated, their spread gets the penalty of Chung et al. (2013).
 
     What loses energy matches worse and is weaker. Where the rows have every stimulus's level (``sensation_level_db``,
     else ``rms_m_s2``, else ``level_difference``), it is in the model, within recordings: ``level_db``, no hypothesis.
 
     Where several recordings come from one source, slopes differ between sources: ``(1 | recording) + (1 + a_w + b_w ||
-    source) + (1 | source:reducer)``. Turned copies of a recording, reduced alike, have nearly the same metrics and are
-    felt nearly alike: without the last term each copy would count as evidence of its own.
+    source) + (1 | source:reducer)``. Turned copies of a recording, reduced alike, are felt nearly alike: without the
+    last term each copy would count as evidence of its own.
 
     Below 3 participants, 3 recordings (or sources of them) or 2 degrees of freedom a slope is not estimable: nothing
     then says how people, recordings or reducers differ.
-
-    A standardised slope is the slope times the metric's standard deviation within recordings (over the rows),
-    over the ratings' standard deviation.
 
     References
     ----------
@@ -269,10 +220,10 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
         differences=_tabulate_differences(found), formula=terms.formula, fit=fit, marginal_r2=fit.marginal_r2,
         conditional_r2=fit.conditional_r2, item_variance_explained=explained, averaged=cells.averaged,
         n_rows=fit.n_rows, n_participants=cells.count(WHO), n_recordings=cells.count(SCENE), n_items=cells.count(ITEM),
-        n_sources=cells.n_sources, n_reducers=cells.count(REDUCER) if REDUCER in cells.table else 0,
+        n_sources=cells.n_sources, n_reducers=cells.count(REDUCER),
         reductions=terms.reductions, model_frame=cells.table,
         notes=(
-            *cells.notes, *fit.notes, *why, *why_not, *_warn_few(cells), *_note_limits(found, lack),
+            *cells.notes, *fit.notes, *why, *why_not, *_note_limits(found, lack),
         ),
         penalty=terms.penalty, level=level,
     )  # fmt: skip
@@ -370,20 +321,17 @@ def _blank(estimate: Statistic, *, lack: str) -> dict[str, float]:
     return dict(estimate) if known else dict(estimate) | dict.fromkeys(TESTED, NONE)
 
 
-def _find_scales(cells: Cells, names: Sequence[str]) -> dict[str, float]:
-    """Find what turns a slope into a standardised one."""
+def _find_scales(cells: Cells, terms: Terms) -> dict[str, float]:
+    """Find what turns a slope of each metric into a standardised one."""
     spread = cells.table[RATING].std()
-    return {name: float(cells.table[f"{name}_w"].std() / spread) for name in names}
-
-
-def _list_within(terms: Terms) -> list[str]:
-    return [name[:-2] for name in terms.fixed if name.endswith("_w")]
+    within = [name for name in terms.fixed if name.endswith("_w")]
+    return {name[:-2]: float(cells.table[name].std() / spread) for name in within}
 
 
 def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
     # How far apart the quartiles of each metric within recordings are, each stimulus counted once.
     items, lack, rows = cells.rated, _find_lack(cells), {}
-    for name, scale in _find_scales(cells, _list_within(terms)).items():
+    for name, scale in _find_scales(cells, terms).items():
         span = float(np.subtract(*np.percentile(items[f"{name}_w"], [75, 25])))
         row = _blank(solved.estimate({f"{name}_w": 1.0}), lack=lack)
         for key, prefix, unit in (
@@ -399,7 +347,7 @@ def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
 
 def _tabulate_differences(found: Slopes) -> DataFrame:
     rows, lack = [], _find_lack(found.cells)
-    scales = _find_scales(found.cells, _list_within(found.terms))
+    scales = _find_scales(found.cells, found.terms)
     for first, second in combinations(scales, 2):
         row: dict[str, object] = {"first": first, "second": second}
         for prefix, one, other in (
@@ -415,7 +363,7 @@ def _tabulate_differences(found: Slopes) -> DataFrame:
 
 def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]]:
     """Estimate slopes with reducers as fixed effects and metrics centred on recordings and on reducers."""
-    within, cells, terms = _list_within(found.terms), found.cells, found.terms
+    cells, terms, within = found.cells, found.terms, found.table.index
     table = pd.DataFrame(np.nan, index=within, columns=list(CENTRED.values()))
     term = f"(1 | {REDUCER})"
     if not wanted or term not in terms.random:
@@ -447,25 +395,24 @@ def _explain_items(found: Slopes) -> tuple[float, list[str]]:
 
 def _add_item_variances(solved: Solved) -> float:
     """Add up what makes stimuli of a recording differ, for everyone: stimuli, reducers, and what a source shares."""
-    spreads = list_spreads(solved.profile, solved.best)
+    spreads = solved.list_spreads()
     return float(sum(part[0, 0] for group, _, part in spreads if group in {ITEM, REDUCER, ALIKE}))
 
 
 def _note_limits(found: Slopes, lack: str) -> Iterator[str]:
-    """Say where the number of recordings limits degrees of freedom, and which slopes are not estimable."""
-    limit, scenes = found.terms.most_df, "sources" if found.cells.shared else "recordings"
+    """Say of what there is little, where that limits degrees of freedom, and which slopes are not estimable."""
+    cells, limit = found.cells, found.terms.most_df
+    scenes = "sources" if cells.shared else "recordings"
+    for name, count in (
+        ("participants", cells.count(WHO)),
+        ("sources of recordings" if cells.shared else scenes, cells.n_sources),
+        ("reducers", cells.count(REDUCER)),
+    ):
+        if 1 < count < FEW:
+            yield f"{count} {name} only: the spread between them is all but unknown, intervals are wide or unstable."
     if (found.table["df"] >= limit).any():
-        few = f"Slopes seem to differ little between {found.cells.n_sources} {scenes}, which so few do not show"
+        few = f"Slopes seem to differ little between {cells.n_sources} {scenes}, which so few do not show"
         yield f"{few}: intervals are widened to at most {limit:g} degrees of freedom."
     for name in found.table.index[~found.table["estimable"]]:
         few = f"with fewer than {FEWEST_DF:g} degrees of freedom"
         yield f"The slope of {name} is not estimable {lack or few}: it has no test and no interval."
-
-
-def _warn_few(cells: Cells) -> Iterator[str]:
-    scenes = "sources of recordings" if cells.shared else "recordings"
-    reducers = cells.count(REDUCER) if REDUCER in cells.table else 0
-    sizes = ("participants", cells.count(WHO)), (scenes, cells.n_sources), ("reducers", reducers)
-    for name, count in sizes:
-        if 1 < count < FEW:
-            yield f"{count} {name} only: the spread between them is all but unknown, intervals are wide or unstable."

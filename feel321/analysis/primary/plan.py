@@ -84,11 +84,6 @@ class Cells:
     rough: bool = False
     notes: tuple[str, ...] = ()
 
-    @property
-    def has_level(self) -> bool:
-        """Whether levels are known and differ within recordings."""
-        return LEVEL in self.table
-
     def ignore_level(self) -> Cells:
         """Return the same cells as if no level were known."""
         return replace(self, table=self.table.drop(columns=LEVEL, errors="ignore"))
@@ -112,7 +107,7 @@ class Cells:
 
     @cached_property
     def _codes(self) -> dict[str, NDArray[np.intp]]:
-        names = [*KEYS, *(name for name in (SOURCE, REDUCER) if name in self.table)]
+        names = (name for name in (*KEYS, SOURCE, REDUCER) if name in self.table)
         return {name: self.table[name].factorize()[0].astype(np.intp) for name in names}
 
     @cached_property
@@ -121,7 +116,9 @@ class Cells:
         return self.table.iloc[np.unique(self._codes[ITEM], return_index=True)[1]]
 
     def count(self, *columns: str) -> int:
-        """Count the combinations of columns that occur."""
+        """Count the combinations of columns that occur; 0 where there is no such column."""
+        if not set(columns) <= set(self._codes):
+            return 0
         combined = np.zeros(len(self.table), dtype=np.intp)
         for name in columns:
             combined = combined * (len(self.table) + 1) + self._codes[name]
@@ -144,20 +141,59 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     """
     names = choose_metrics(rows, metrics)
     rows, notes = select_rows(rows)
-    rows = _read_rows(rows, names)
-    items = _add_level(_gather_items(rows, names), rows)
-    cells = arrange_cells(rows[[*KEYS, RATING]], items, names, notes=notes)
-    if LEVEL in items or set(LEVELS) & set(names):
-        return cells
-    unknown = f"Level was not known (no column {', '.join(LEVELS)}): slopes may be those of level."
-    return replace(cells, notes=(*cells.notes, unknown))
+    wanted, known = [*KEYS, RATING, *names], [name for name in (REDUCER,) if name in rows]
+    check_columns(rows, wanted, "rows")
+    refuse_pooled(rows, metrics=names, what="rows")
+    numbers = {name: read_numbers(rows[name], what=f"rows, {name!r}") for name in (RATING, *names)}
+    for name, values in numbers.items():
+        if bad := int((~np.isfinite(values)).sum()):
+            raise ValueError(
+                f"rows must have finite numbers, got {bad} values of {name!r} not finite; leave such rows out"
+            )
+    if rows[list(KEYS)].isna().any(axis=None):
+        raise ValueError(
+            "rows must be complete, got one without participant, recording or item; leave it out"
+        )
+    # Names as categories, whose every use costs less.
+    rows = rows.assign(
+        **numbers, **{name: rows[name].astype("category") for name in (*KEYS, *known)}
+    )
+    items = _add_level(_gather_items(rows, [*names, *known]), rows)
+    if LEVEL not in items and not set(LEVELS) & set(names):
+        lack = f"Level was not known (no column {', '.join(LEVELS)}): slopes may be those of level."
+        notes = (*notes, lack)
+    return arrange_cells(rows[[*KEYS, RATING]], items, names, notes=notes)
+
+
+def select_rows(rows: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
+    """Select valid ratings of test stimuli, each with the name of its item, and note what is left out."""
+    rows, rejected = leave_rejected(name_items(open_ratings(rows, what="rows")))
+    rows, untested = leave_untested(rows)
+    return rows, (*rejected, *untested)
+
+
+def _gather_items(rows: DataFrame, columns: list[str]) -> DataFrame:
+    """Gather every stimulus: its metrics, its reducer, and the source of its recording where several have one."""
+    items = rows[[SCENE, ITEM, *columns]].drop_duplicates()
+    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
+        raise ValueError(
+            f"rows must have one stimulus per item, got item {twice[0]!r} with two recordings, two reducers or two "
+            "values of a metric"
+        )
+    sources = find_sources(rows)
+    if sources.is_unique:
+        return items
+    if REDUCER not in columns:
+        raise ValueError(
+            "rows must say which stimuli of a source were reduced alike, got "
+            f"{len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'; add it"
+        )
+    return items.assign(**{SOURCE: sources.reindex(items[SCENE]).astype("category").array})
 
 
 def _add_level(items: DataFrame, rows: DataFrame) -> DataFrame:
     """Add the level of every stimulus by the first column that has one for each; none where a metric is one itself."""
-    if set(LEVELS) & {*items}:
-        return items
-    for name in (name for name in LEVELS if name in rows):
+    for name in () if set(LEVELS) & {*items} else (name for name in LEVELS if name in rows):
         levels = rows.groupby(ITEM, observed=True)[name]
         if levels.nunique(dropna=False).max() > 1 or rows[name].dtype.kind not in "fiu":
             continue
@@ -207,54 +243,6 @@ def arrange_cells(
     )  # fmt: skip
 
 
-def select_rows(rows: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
-    """Select valid ratings of test stimuli, each with the name of its item, and note what is left out."""
-    rows, rejected = leave_rejected(name_items(open_ratings(rows, what="rows")))
-    rows, untested = leave_untested(rows)
-    return rows, (*rejected, *untested)
-
-
-def _gather_items(rows: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
-    """Gather every stimulus: its metrics, its reducer, and the source of its recording where several have one."""
-    known = [name for name in (REDUCER,) if name in rows]
-    items = rows[[SCENE, ITEM, *metrics, *known]].drop_duplicates()
-    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
-        raise ValueError(
-            f"rows must have one stimulus per item, got item {twice[0]!r} with two recordings, two reducers or two "
-            "values of a metric"
-        )
-    sources = find_sources(rows)
-    if sources.is_unique:
-        return items
-    if not known:
-        raise ValueError(
-            "rows must say which stimuli of a source were reduced alike, got "
-            f"{len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'; add it"
-        )
-    return items.assign(**{SOURCE: sources.reindex(items[SCENE]).astype("category").array})
-
-
-def _read_rows(rows: DataFrame, metrics: Sequence[str]) -> DataFrame:
-    """Read numbers as such, and names as categories, whose every use costs less."""
-    wanted = [*KEYS, RATING, *metrics]
-    check_columns(rows, wanted, "rows")
-    refuse_pooled(rows, metrics=metrics, what="rows")
-    numbers = {
-        name: read_numbers(rows[name], what=f"rows, {name!r}") for name in wanted[len(KEYS) :]
-    }
-    for name, values in numbers.items():
-        if bad := int((~np.isfinite(values)).sum()):
-            raise ValueError(
-                f"rows must have finite numbers, got {bad} values of {name!r} not finite; leave such rows out"
-            )
-    if rows[list(KEYS)].isna().any(axis=None):
-        raise ValueError(
-            "rows must be complete, got one without participant, recording or item; leave it out"
-        )
-    names = [*KEYS, *(name for name in (REDUCER,) if name in rows)]
-    return rows.assign(**numbers, **{name: rows[name].astype("category") for name in names})
-
-
 def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
     """Take out of metrics what their recording and their reducer give, over stimuli."""
     import pandas as pd
@@ -299,7 +287,7 @@ def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Terms:
         *_plan_groups(cells, slopes),
         *(_plan_reducers(cells, slopes, free) if reducers else ()),
     ]
-    random = [term for term in chosen if term.startswith("(")]
+    random = tuple(term for term in chosen if term.startswith("("))
     reductions += [reason for reason in chosen if not reason.startswith("(")]
     if cells.rough:
         reductions.append(
@@ -312,9 +300,8 @@ def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Terms:
     few = f"(1 | {REDUCER})" in random and cells.count(REDUCER) < FEW_REDUCERS
     # Of a single difference the penalised likelihood has no maximum: it grows with the spread as fast as it falls.
     penalty = (REDUCER,) if few and free > 1 else ()
-    return Terms(
-        tuple(fixed), tuple(random), tuple(reductions), penalty, find_most_df(cells.n_sources)
-    )
+    most_df = find_most_df(cells.n_sources)
+    return Terms(tuple(fixed), random, tuple(reductions), penalty, most_df)
 
 
 def find_most_df(recordings: int) -> float:
@@ -328,21 +315,19 @@ def find_most_df(recordings: int) -> float:
 
 
 def _plan_fixed(cells: Cells, reductions: list[str]) -> list[str]:
-    columns = {
-        name: cells.rated[name].to_numpy(np.float64)
-        for name in map(str, cells.rated)
-        if name[-2:] in {"_w", "_b", "db"}
-    }
+    def find(name: str) -> Samples:
+        values: Samples = cells.rated[name].to_numpy(np.float64)
+        return values
 
     def varies(metric: str, part: str) -> bool:
-        size = float(np.abs(columns[f"{metric}_w"] + columns[f"{metric}_b"]).max())
-        return float(np.ptp(columns[f"{metric}{part}"])) > FLAT * size
+        size = float(np.abs(find(f"{metric}_w") + find(f"{metric}_b")).max())
+        return float(np.ptp(find(f"{metric}{part}"))) > FLAT * size
 
     def keep_independent(names: list[str]) -> list[str]:
         """Leave out what is a sum of those before it."""
         kept: list[str] = []
         for name in names:
-            values = np.stack([columns[one] for one in (*kept, name)], axis=1)
+            values = np.stack([find(one) for one in (*kept, name)], axis=1)
             values = (values - values.mean(axis=0)) / values.std(axis=0)
             left = np.abs(np.diag(np.linalg.qr(values, mode="r")))[-1]
             if left > DEPENDENT * np.sqrt(len(values)):
@@ -360,7 +345,8 @@ def _plan_fixed(cells: Cells, reductions: list[str]) -> list[str]:
         raise ValueError(
             f"metrics must vary, got {', '.join(cells.metrics)}, none of which differs between stimuli of a recording"
         )
-    level = keep_independent([*within, LEVEL])[len(within) :] if cells.has_level else []
+    level = [LEVEL] if LEVEL in cells.table else []
+    level = keep_independent([*within, *level])[len(within) :]
     between = [f"{name}_b" for name in cells.metrics if varies(name, "_b")]
     if cells.n_sources >= len(between) + 2 and between:
         return [*within, *keep_independent(between), *level]
@@ -394,28 +380,25 @@ def _plan_groups(cells: Cells, slopes: list[str]) -> Iterator[str]:
     Without the last term each copy would count as evidence of its own.
     """
     several, people, rows = cells.count(SCENE) > 1, cells.count(WHO), len(cells.table)
+
+    def write(group: str, own: list[str]) -> str:
+        return f"({' + '.join(['1', *map(_quote, own)])} || {group})" if own else f"(1 | {group})"
+
     lone = "No spread between recordings: one recording only; nothing here speaks of others."
     own = [] if cells.shared and cells.n_sources > 1 else slopes
-    yield _write_spread(SCENE, own) if several else lone
-    known = cells.count(ITEM) < rows
+    yield write(SCENE, own) if several else lone
     single = "No spread between stimuli: each has one row only, its spread is in the residual."
-    yield f"(1 | {ITEM})" if known else single
+    yield f"(1 | {ITEM})" if cells.count(ITEM) < rows else single
     if several and people > 1:
-        paired = cells.count(WHO, SCENE) < rows
         once = "No spread of people's recordings: each has one row only."
-        yield f"(1 | {WHO}:{SCENE})" if paired else once
+        yield f"(1 | {WHO}:{SCENE})" if cells.count(WHO, SCENE) < rows else once
     if cells.repeated and people > 1:
         yield f"(1 | {WHO}:{ITEM})"
     if cells.shared:
         lone = "No spread between sources: all recordings come from one; nothing here speaks of others."
-        yield _write_spread(SOURCE, slopes) if cells.n_sources > 1 else lone
+        yield write(SOURCE, slopes) if cells.n_sources > 1 else lone
         if cells.count(SOURCE, REDUCER) < cells.count(ITEM):
             yield f"(1 | {ALIKE})"
-
-
-def _write_spread(group: str, slopes: list[str]) -> str:
-    """Write the term for levels and slopes that differ between recordings, or between sources of them."""
-    return f"({' + '.join(['1', *map(_quote, slopes)])} || {group})" if slopes else f"(1 | {group})"
 
 
 def find_recording_slope(spreads: Mapping[tuple[str, str], float], metric: str) -> float:
@@ -430,9 +413,10 @@ def _plan_reducers(cells: Cells, slopes: list[str], free: int) -> Iterator[str]:
         yield none + "no column 'reducer' says which stimuli were reduced alike."
         return
     why = {cells.count(ITEM): "no reducer was used on several recordings", 1: "one reducer only"}
-    number, lone = cells.count(REDUCER), cells.count(SCENE) == 1
-    if lone or number in why:
-        yield none + ("one recording only" if lone and number > 1 else why[number]) + "."
+    number = cells.count(REDUCER)
+    if cells.count(SCENE) == 1 or number in why:
+        lone = number > 1 and cells.count(SCENE) == 1
+        yield none + ("one recording only" if lone else why[number]) + "."
         return
     # Of one source, (1 | source:reducer) is this term.
     if not cells.shared or cells.n_sources > 1:

@@ -38,11 +38,6 @@ def make_r_name(name: str, taken: Collection[str] = (), *, ends: Collection[str]
     """Make a name that R, JASP and a formula take as it stands: ASCII letters, digits and underscores.
 
     It is none of those taken with any of the ends; upper and lower case are not told apart, as in names of files.
-
-    Examples
-    --------
-    >>> make_r_name("repeat"), make_r_name("my-metric"), make_r_name("2nd", {"x2nd"})
-    ('repeat_', 'my_metric', 'x2nd_2')
     """
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
     plain = plain if NAMED.fullmatch(plain) else f"x{plain}"
@@ -53,26 +48,14 @@ def make_r_name(name: str, taken: Collection[str] = (), *, ends: Collection[str]
 
 
 def write_r_string(text: str) -> str:
-    r"""Quote text for R, in ASCII.
-
-    Examples
-    --------
-    >>> print(write_r_string('r\u00e9alisme "1"'))
-    "r\u00e9alisme \"1\""
-    """
+    """Quote text for R, in ASCII."""
     quoted = text.replace("\\", "\\\\").replace('"', '\\"')
     letters = (c if c.isascii() and c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
     return f'"{"".join(letters)}"'.replace("\\U0000", "\\u")
 
 
 def rename_terms(formula: str, names: Mapping[str, str]) -> str:
-    """Rename the columns of a formula; a name in backquotes loses them.
-
-    Examples
-    --------
-    >>> rename_terms("rating ~ 1 + `my-m_w` + (1 | item)", {"my-m_w": "my_m", "item": "stimulus"})
-    'rating ~ 1 + my_m + (1 | stimulus)'
-    """
+    """Rename the columns of a formula; a name in backquotes loses them."""
     return re.sub(
         r"`([^`]+)`|\b([^\W\d]\w*)\b",
         lambda match: names.get(match[1] or match[2], match[0]),

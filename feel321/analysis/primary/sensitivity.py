@@ -18,7 +18,6 @@ import numpy as np
 import pandas as pd
 
 from feel321.analysis.arrays import read_numbers
-from feel321.analysis.mixed.model import Solved, note_zeros
 from feel321.analysis.primary.model import IN_MODEL, Primary, Slopes, adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import (
     ITEM,
@@ -31,17 +30,55 @@ from feel321.analysis.primary.plan import (
     make_cells,
     select_rows,
 )
+from feel321.analysis.primary.plan import LEVEL as COVARIATE
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import HIGHEST
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
+    from feel321.analysis.mixed.model import Solved
     from feel321.types import Samples
 
 
-ESTIMATED = ("estimate", "se", "df", "t", "p", "low", "high")
-STANDARDISED = ("standardised", "standardised_low", "standardised_high")
+PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
+"""What may be concluded about a slope."""
+
+SURVIVES, LOST = "survives", "lost"
+"""What becomes of a verdict with level in the model."""
+
+LEVEL = 0.05
+"""Of a verdict, after Holm's adjustment, and of an exceptional reducer, after Bonferroni's."""
+
+STIMULUS = "stimulus"
+CANDIDATES = 2
+"""Stimuli per metric and way of centring that are left out exactly."""
+
+MOVED = 1.0
+"""Standard errors by which a slope must change to be named."""
+
+MOST_CELLS = 20_000
+"""Participants x stimuli beyond which some thirty models would take many minutes."""
+
+MOST_UNITS = 100
+"""Recordings, or sources, beyond which a model without each would take hours, and says little of so small a share."""
+
+LEAST_EXCESS = 5.0
+"""Points that an exceptional reducer must differ by: less is also what the ends of the scale do to the best ones."""
+
+FEWEST_REDUCERS = 5
+"""Fewer than this do not say how far reducers differ from what their metrics predict."""
+
+DELIVERED = "_delivered"
+"""Suffix of the columns of metrics of what was delivered."""
+
+RIGS = ("rig", "calibration")
+"""Columns on what participants felt the stimuli on; there where they differ."""
+
+COLUMNS = (
+    "estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high",
+)  # fmt: skip
+TENTHS = ("tenth", "tenth_low", "tenth_high")
 
 
 class Fitted(NamedTuple):
@@ -76,19 +113,11 @@ class Variant(NamedTuple):
                 self.make(), correlated=self.correlated, reducers=self.reducers, start=start
             )
         except ValueError as error:
-            columns = [*ESTIMATED, *STANDARDISED, "tenth", "tenth_low", "tenth_high"]
-            empty = pd.DataFrame(np.nan, index=pd.Index(metrics, name="metric"), columns=columns)
+            index = pd.Index(metrics, name="metric")
+            empty = pd.DataFrame(np.nan, index=index, columns=[*COLUMNS, *TENTHS])
             return Fitted(empty, singular=False, reason=str(error))
-        singular, lacks = bool(note_zeros(found.solved)), " ".join(found.terms.reductions)
+        singular, lacks = bool(found.solved.note_zeros()), " ".join(found.terms.reductions)
         return Fitted(found.table.reindex(list(found.cells.metrics)), singular, lacks, found)
-
-
-def leave_out_each(cells: Cells, column: str, names: Iterable[object]) -> Iterator[Variant]:
-    """Leave out the stimuli of each name."""
-    for name in names:
-        kind = "stimulus" if column == ITEM else column
-        make = partial(cells.leave_out, column, name)
-        yield Variant(f"without {kind} {name}", make, kind=kind, left=str(name))
 
 
 def leave_out_units(cells: Cells) -> Iterator[Variant]:
@@ -99,8 +128,13 @@ def leave_out_units(cells: Cells) -> Iterator[Variant]:
     for column in (SOURCE if cells.shared else SCENE, REDUCER):
         names = list(cells.items[column].unique() if column in cells.items else ())
         ordered = order_reducers(names) if column == REDUCER else sorted(names, key=str)
-        several = 1 < len(names) <= MOST_UNITS
-        yield from leave_out_each(cells, column, ordered if several else [])
+        for name in ordered if 1 < len(names) <= MOST_UNITS else ():
+            yield _leave_out(cells, column, name)
+
+
+def _leave_out(cells: Cells, column: str, name: object) -> Variant:
+    kind, make = STIMULUS if column == ITEM else column, partial(cells.leave_out, column, name)
+    return Variant(f"without {kind} {name}", make, kind=kind, left=str(name))
 
 
 def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0) -> DataFrame:
@@ -110,13 +144,11 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     SDs or logits, per unit of the metric), metric, estimate se df t p low high, standardised slope with its interval,
     singular, and reason (why a variant has no numbers, or what its model lacks or leaves out).
 
-    Variants: people's slopes correlated; the model without its terms for reducers, which takes what a reducer feels
-    like for other reasons for evidence of its metric; each rater's ratings standardised, which takes out how much of
-    the scale they use (raters whose ratings are all the same are left out, as the reason says); ratings as logits of
-    (y (n - 1) + 1/2) / n, y = rating / top and n their number (Smithson & Verkuilen 2006, doi
-    10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's ends. Only standardised slopes compare
-    across units. Where rows have them: the metrics of what was delivered in place of those intended; the rig as
-    a factor (mean ratings of each rig and recording taken out); without the people on each rig.
+    Variants: people's slopes correlated; no terms for reducers; no level; each rater's ratings standardised, which
+    takes out how much of the scale they use; ratings as logits of (y (n - 1) + 1/2) / n, y = rating / top and n their
+    number (Smithson & Verkuilen 2006, doi 10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's
+    ends. Only standardised slopes compare across units. Where rows have them: the metrics of what was delivered; the
+    rig as a factor (mean ratings of each rig and recording taken out); without the people on each rig.
     """
     rows, notes = select_rows(rows)
     ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
@@ -130,12 +162,12 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
         found = variant.fit(metrics)
         if variant.name == "primary" and not found.slopes:
             raise ValueError(found.reason)
-        table = found.table[[*ESTIMATED, *STANDARDISED]].rename_axis("metric").reset_index()
         reason = " ".join(filter(None, (*notes, variant.note, found.reason)))
-        table.insert(0, "unit", variant.unit)
-        table.insert(0, "variant", variant.name)
-        tables.append(table.assign(singular=found.singular, reason=reason))
-    return pd.concat(tables, ignore_index=True)
+        keys = {"variant": variant.name, "unit": variant.unit}
+        table = found.table[list(COLUMNS)].rename_axis("metric").reset_index()
+        tables.append(table.assign(singular=found.singular, reason=reason, **keys))
+    whole = pd.concat(tables, ignore_index=True)
+    return whole[["variant", "unit", *(name for name in whole if name not in keys)]]
 
 
 def _list_variants(rows: DataFrame, metrics: Sequence[str], *, top: float) -> Iterator[Variant]:
@@ -143,7 +175,7 @@ def _list_variants(rows: DataFrame, metrics: Sequence[str], *, top: float) -> It
     yield Variant("primary", lambda: cells)
     yield Variant("correlated slopes", lambda: cells, correlated=True)
     yield Variant("without reducers", lambda: cells, reducers=False)
-    if cells.has_level:
+    if COVARIATE in cells.table:
         yield Variant("without level", cells.ignore_level)
     own = rows.groupby(WHO, observed=True)[RATING]
     spread = own.transform("std").fillna(0)
@@ -159,13 +191,6 @@ def _list_variants(rows: DataFrame, metrics: Sequence[str], *, top: float) -> It
     yield Variant("logits", partial(make_cells, logits, metrics), unit="logits")
 
 
-DELIVERED = "_delivered"
-"""Suffix of the columns of metrics of what was delivered."""
-
-RIGS = ("rig", "calibration")
-"""Columns on what participants felt the stimuli on; there where they differ."""
-
-
 def _list_rig_variants(rows: DataFrame, metrics: Sequence[str], cells: Cells) -> Iterator[Variant]:
     """Take the metrics of what was delivered; take out what a rig does to ratings; leave each rig out."""
     delivered = {name: rows[name + DELIVERED] for name in metrics if name + DELIVERED in rows}
@@ -177,46 +202,17 @@ def _list_rig_variants(rows: DataFrame, metrics: Sequence[str], cells: Cells) ->
     for name in RIGS:
         if name not in rows:
             continue
-        means = rows.groupby([name, SCENE], observed=True)[RATING].transform("mean")
-        left = rows[RATING] - means + rows.groupby(SCENE, observed=True)[RATING].transform("mean")
-        make = partial(make_cells, rows.assign(**{RATING: left}), metrics)
-        yield Variant(f"{name} as a factor", make)
-        people = rows.drop_duplicates(WHO).groupby(name)[WHO]
-        for value, names in people:
-            if (
-                2 * len(names) <= cells.count(WHO) and cells.count(WHO) - len(names) > 1
-            ):  # the rest is most
-                make = partial(cells.leave_out, WHO, *names)
-                left_out = str(value) or "unknown"
-                yield Variant(f"without {name} {left_out}", make, kind=name, left=left_out)
-
-
-PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
-"""What may be concluded about a slope."""
-
-LEVEL = 0.05
-"""Of a verdict, after Holm's adjustment, and of an exceptional reducer, after Bonferroni's."""
-
-STIMULUS, RECORDING = "stimulus", "recording"
-CANDIDATES = 2
-"""Stimuli per metric and way of centring that are left out exactly."""
-
-MOVED = 1.0
-"""Standard errors by which a slope must change to be named."""
-
-MOST_CELLS = 20_000
-"""Participants x stimuli beyond which some thirty models would take many minutes."""
-
-MOST_UNITS = 100
-"""Recordings, or sources, beyond which a model without each would take hours, and says little of so small a share."""
-
-LEAST_EXCESS = 5.0
-"""Points that an exceptional reducer must differ by: less is also what the ends of the scale do to the best ones."""
-
-FEWEST_REDUCERS = 5
-"""Fewer than this do not say how far reducers differ from what their metrics predict."""
-
-ESTIMATES = ("estimate", "se", "df", "p", "tenth", "tenth_low", "tenth_high")
+        means, whole = (
+            rows.groupby(keys, observed=True)[RATING].transform("mean")
+            for keys in ([name, SCENE], SCENE)
+        )
+        left = rows.assign(**{RATING: rows[RATING] - means + whole})
+        yield Variant(f"{name} as a factor", partial(make_cells, left, metrics))
+        n_people = cells.count(WHO)
+        for value, names in rows.drop_duplicates(WHO).groupby(name)[WHO]:
+            if 2 * len(names) <= n_people > len(names) + 1:  # the rest is most, and more than one
+                make, who = partial(cells.leave_out, WHO, *names), str(value) or "unknown"
+                yield Variant(f"without {name} {who}", make, kind=name, left=who)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,16 +230,14 @@ class Influence:
 
     def find_turns(self, metric: str) -> DataFrame:
         """Find the units without which a metric's verdict or sign changes, the largest change first."""
-        return self._find(metric, "turns")
+        moves = self.find_moves(metric)
+        return moves if moves.empty else moves[moves["turns"]]
 
     def find_moves(self, metric: str) -> DataFrame:
         """Find the units without which a metric's slope changes by more than its standard error, or turns."""
-        return self._find(metric, "moves")
-
-    def _find(self, metric: str, column: str) -> DataFrame:
         if self.table.empty:
             return self.table
-        found = self.table[(self.table["metric"] == metric) & self.table[column]]
+        found = self.table[(self.table["metric"] == metric) & self.table["moves"]]
         return found.sort_values("shift", key=np.abs, ascending=False, kind="stable")
 
 
@@ -252,9 +246,6 @@ def conclude(p_holm: float) -> str:
     if math.isnan(p_holm):
         return NOT_ESTIMABLE
     return PREDICTS if p_holm < LEVEL else OPEN
-
-
-SURVIVES, LOST = "survives", "lost"
 
 
 def judge_level(level: str, p_holm: float, plain_p_holm: float) -> str:
@@ -296,9 +287,8 @@ def measure_influence(
         if cells.n_sources > MOST_UNITS:
             what = "sources" if cells.shared else "recordings"
             notes.append(f"{what.capitalize()} were not left out in turn: more than {MOST_UNITS}.")
-        candidates = leave_out_each(cells, ITEM, find_candidates(cells))
-        before = _conclude(whole.slopes, others)
-        solved = None
+        candidates = (_leave_out(cells, ITEM, name) for name in find_candidates(cells))
+        before, solved = _conclude(whole.slopes, others), None
         for variant in (*leave_out_units(cells), *candidates):
             fitted = variant.fit(metrics, solved)
             solved = fitted.slopes.solved if fitted.slopes else solved
@@ -344,9 +334,8 @@ def _average_items(cells: Cells) -> tuple[DataFrame, Samples, Samples]:
 
 
 def _list_dummies(items: DataFrame, groups: Sequence[str]) -> Samples:
-    from pandas import get_dummies
-
-    return get_dummies(items[list(groups)].astype(str)).to_numpy(np.float64)
+    dummies: Samples = pd.get_dummies(items[list(groups)].astype(str)).to_numpy(np.float64)
+    return dummies
 
 
 def _centre(dummies: Samples, values: Samples) -> Samples:
@@ -365,7 +354,7 @@ def _compare(
     fitted: Fitted, whole: Primary, *, before: DataFrame, others: Sequence[float]
 ) -> DataFrame:
     """Compare every slope that was fitted without a unit with that of the whole."""
-    table = fitted.table.reindex(whole.slopes.index)[list(ESTIMATES)]
+    table = fitted.table.reindex(whole.slopes.index)[["estimate", "se", "df", "p", *TENTHS]]
     table = table.join(_conclude(table, others))
     estimate = whole.slopes["estimate"]
     table["shift"] = (table["estimate"] - estimate) / whole.slopes["se"]

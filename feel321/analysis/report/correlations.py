@@ -175,8 +175,7 @@ Judged = dict[tuple[str, int, str], "Statistic"]
 
 def compute_standard(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Compute what other studies print."""
-    from feel321.analysis.association.classic import repeated_measures_correlation
-    from feel321.analysis.standard import compare_p1401
+    from feel321.analysis.standard import compare_p1401, repeated_measures_correlation
 
     found, names = Found(key="standard"), ("metric", "order", "mapping")
     for part in split_tests(table):
@@ -220,7 +219,7 @@ def _judge(found: Found, part: Part, *, table: Table, items: Items) -> Judged:
 
 def _compare_classically(found: Found, part: Part, items: Items, *, metrics: Sequence[str]) -> None:
     """Compare the correlations with two metrics by the tests of Williams, Steiger, Meng and Zou."""
-    from feel321.analysis.association.classic import compare_dependent
+    from feel321.analysis.standard import compare_dependent
 
     means = np.nanmean(items.ratings, axis=0)
     for (i, one), (j, other) in combinations(enumerate(metrics), 2):

@@ -345,7 +345,7 @@ def compute_rivals(table: Table, choices: Choices) -> Found:
             names.append(STRENGTH)
         rng = choices.make_rng("rivals", *part.place)
         try:
-            one = rivals.rank_metrics(rows, names, draws=choices.draws, rng=rng, info=table.info)
+            one = rivals.rank_metrics(rows, names, rng=rng, info=table.info)
         except ValueError as error:  # it was asked for, so the answer says why there is none
             told.append({"subject": part.subject, "why": str(error)})
             continue
@@ -364,7 +364,7 @@ def compute_rivals(table: Table, choices: Choices) -> Found:
             "baseline": one.baseline, "better": list(one.better if one.baseline else shown), "n_metrics": len(frame),
             "n_candidates": len(one.candidates), "n_reducers": one.n_reducers, "needed": rivals.FEWEST_REDUCERS,
             "r": {"value": row["value"], "low": row["low"], "high": row["high"]}, "ceiling": one.ceiling,
-            "picked": {"value": one.honest_value, "low": one.honest_low, "high": one.honest_high},
+            "picked": one.honest_value,
         })  # fmt: skip
         found.notes += [f"{part.lead}, metrics ranked: {note}" for note in one.notes]
         keys: Row = {**part.keys, "n": one.n_items}

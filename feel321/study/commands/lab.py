@@ -53,7 +53,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     accept_rig
         Resume on a changed rig or certificate; the journal records it.
     lsl
-        Send events to the lab streaming layer.
+        Send onsets to the lab streaming layer.
     rehearse
         Stored in rehearsals/ and never analysed.
     simulated

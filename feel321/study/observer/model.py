@@ -12,12 +12,11 @@ temporal match. The original and the real surface are the point where nothing is
 A *bonus*, for surprises that no metric knows, is the model's term for the stimulus's reducer, plus what the recording's
 own slopes on the two matches (`slope_sd`) make of what the stimulus lacks of each. It is added to realism, and to
 similarity with anything but itself; it is taken from the distance to the original and to the real surface. It leaves
-the distance between two reduced stimuli as it is. What comes out is cut to the scale only when it is answered.
+the distance between two reduced stimuli as it is.
 
-Answer of a careful one: sure + gain * (percept - sure) + bias + shift + noise, cut to 0..100. Sure is the end of the
-slider that means the same to everybody: the bottom, or the top (identical) where similarity is asked for. The shift is
-what order and fatigue do; bias, gain and size of the noise are the participant's own. In a lapse any answer is as
-likely as another. Of the bad raters,
+Answer of a careful one: sure + gain * (percept - sure) + bias + noise, cut to 0..100. Sure is the end of the slider
+that means the same to everybody: the bottom, or the top (identical) where similarity is asked for. Bias, gain and size
+of the noise are the participant's own. In a lapse any answer is as likely as another. Of the bad raters,
 
 - a *straight-liner* leaves the marker about where they like it, or always makes the same choice;
 - a *random clicker* answers anything, and fast;
@@ -27,9 +26,8 @@ Everybody has a detection threshold, by frequency: that of a curve of the litera
 participant's own, half of whose variance is the same at all frequencies. Of two intervals they find the one that
 vibrated by the psychometric function of `protocols.threshold`; nothing else that they answer depends on it.
 
-Every draw depends on seed, participant, trial and attempt alone, and the trial before can be recalled, so that an
-interrupted session that is resumed gives the answers of an uninterrupted one. The participants' clock adds up what
-stimuli, pages and answers take, so that a session of an hour is over in a second.
+Every draw depends on seed, participant, trial and attempt alone, so that an interrupted session that is resumed gives
+the answers of an uninterrupted one. The participants' clock adds up what stimuli, pages and answers take.
 """
 
 from __future__ import annotations
@@ -43,6 +41,8 @@ from itertools import accumulate
 from typing import TYPE_CHECKING, Annotated, Any
 from zlib import crc32
 
+import numpy as np
+
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Trial
@@ -55,8 +55,6 @@ from feel321.study.settings.fields import one_of
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    import numpy as np
-
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.session.ports import Tone
     from feel321.study.settings.schema import Settings
@@ -67,12 +65,9 @@ LOW, HIGH = RATING_RANGE
 
 NORMAL, STRAIGHT_LINER = "normal", "straight_liner"
 RANDOM_CLICKER, SCALE_REVERSER = "random_clicker", "scale_reverser"
-KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)  # kinds of raters
+KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)
 STRAIGHT_SD = 1.0  # standard deviation, in points, of the place to which a straight-liner returns
-
-HASTY = (-0.7, 0.3)
-"""Mean and standard deviation of the logarithm of a hasty response time in s: a median of 0.5 s."""
-
+HASTY = (-0.7, 0.3)  # mean and sd of the logarithm of a hasty response time in s: a median of 0.5 s
 SPECTRAL = ("spectral_match_bounded", "spectral_match")  # that participants may feel by
 HALF = 0.5  # of the favourites of straight-liners, who then choose the first
 NODES = 15  # of the quadrature over gains and over sizes of the noise
@@ -100,19 +95,10 @@ class Rater:
     lapse_rate: float
     favourite: float
 
-    def rate(
-        self,
-        percept: float,
-        *,
-        sure: float = LOW,
-        shift: float,
-        growth: float,
-        rng: np.random.Generator,
-    ) -> float:
-        """Set a slider; percept: what was felt, shift: what order and fatigue add, both in points."""
+    def rate(self, percept: float, rng: np.random.Generator, *, sure: float = LOW) -> float:
+        """Set a slider; percept: what was felt, in points."""
         guess, lapsed = rng.uniform(LOW, HIGH), rng.random() < self.lapse_rate
-        noise = rng.normal(0, self.noise_sd * growth)
-        points = sure + self.gain * (percept - sure) + self.bias + shift + noise
+        points = sure + self.gain * (percept - sure) + self.bias + rng.normal(0, self.noise_sd)
         if self.kind == STRAIGHT_LINER:
             points = LOW + (HIGH - LOW) * self.favourite + rng.normal(0, STRAIGHT_SD)
         elif self.kind == RANDOM_CLICKER or lapsed:
@@ -121,27 +107,18 @@ class Rater:
             points = LOW + HIGH - points
         return round(min(max(points, LOW), HIGH), 1)
 
-    def choose(
-        self, distances: Mapping[str, float], *, growth: float, rng: np.random.Generator
-    ) -> str:
+    def choose(self, distances: Mapping[str, float], rng: np.random.Generator) -> str:
         """Choose the candidate that feels most like the part asked about, from their distances in points.
 
-        Notes
-        -----
         All are felt once and remembered with noise, and the nearest is chosen: the differencing model of ABX, with
-        proportion correct Φ(d'/√2) Φ(d'/√6) + Φ(-d'/√2) Φ(-d'/√6) for d' = distance / noise [1]_. A comparison's
-        noise is that of a rating; bias and gain are habits with a slider, and make nobody feel more.
-
-        References
-        ----------
-        .. [1] N. A. Macmillan, C. D. Creelman, "Detection theory: a user's guide", 2nd ed., Lawrence Erlbaum, 2005,
-           chapter 9. ISBN 0-8058-4230-6
+        proportion correct Φ(d'/√2) Φ(d'/√6) + Φ(-d'/√2) Φ(-d'/√6) for d' = distance / noise (Macmillan and Creelman,
+        Detection theory, 2005, chapter 9). The noise is that of a rating; bias and gain are habits with a slider.
         """
         names = list(distances)
         guess, is_blind = self._guess(names, rng)
         if is_blind:
             return guess
-        asked, *felt = rng.normal(0, self.noise_sd * growth, len(names) + 1)
+        asked, *felt = rng.normal(0, self.noise_sd, len(names) + 1)
         away = {
             name: abs(max(distances[name], 0.0) + noise - asked)
             for name, noise in zip(names, felt, strict=True)
@@ -150,13 +127,11 @@ class Rater:
         # Where two are exactly as near, no difference was felt.
         return guess if away[guess] == away[nearest] else nearest
 
-    def prefer(
-        self, percepts: Mapping[str, float], *, growth: float, rng: np.random.Generator
-    ) -> str:
+    def prefer(self, percepts: Mapping[str, float], rng: np.random.Generator) -> str:
         """Choose the candidate that feels most real, from their percepts in points, each remembered with noise."""
         names = list(percepts)
         guess, is_blind = self._guess(names, rng)
-        noise = rng.normal(0, self.noise_sd * growth, len(names))
+        noise = rng.normal(0, self.noise_sd, len(names))
         felt = {name: percepts[name] + own for name, own in zip(names, noise, strict=True)}
         most = max(names, key=felt.__getitem__)
         return guess if is_blind or felt[guess] == felt[most] else most
@@ -168,7 +143,7 @@ class Rater:
             return names[int(self.favourite * len(names))], True
         return guess, self.kind == RANDOM_CLICKER or lapsed
 
-    def detect(self, chance: float, right: str, *, rng: np.random.Generator) -> str:
+    def detect(self, chance: float, right: str, rng: np.random.Generator) -> str:
         """Choose the interval that vibrated; chance: share of right answers of a careful participant."""
         first, second = INTERVALS
         guess, is_right = INTERVALS[rng.integers(2)], rng.random() < chance
@@ -183,24 +158,14 @@ class Rater:
         return float(rng.lognormal(*(HASTY if self.kind == RANDOM_CLICKER else UNHURRIED)))
 
 
-AT_ONCE = 256
-"""Percepts whose quadrature is computed at once: 3 MB."""
-
-
 def expect_rating(model: ObserverModel, percepts: Sequence[float]) -> list[float]:
-    """Compute the mean rating that careful participants give to percepts in points, without order and fatigue.
+    """Compute the mean rating that careful participants give to percepts in points.
 
-    Notes
-    -----
     Given gain and size of the noise, a rating is a normal variable cut to the scale, whose mean is known; over their
     lognormal distributions it is averaged by Gauss-Hermite quadrature.
     """
-    import numpy as np
     from scipy.stats import norm
 
-    if len(percepts) > AT_ONCE:
-        parts = (percepts[start : start + AT_ONCE] for start in range(0, len(percepts), AT_ONCE))
-        return [rating for part in parts for rating in expect_rating(model, part)]
     nodes, weights = np.polynomial.hermite_e.hermegauss(NODES)
     weights /= weights.sum()
     gain = np.exp(model.gain_sd * nodes)[:, None, None]
@@ -208,12 +173,8 @@ def expect_rating(model: ObserverModel, percepts: Sequence[float]) -> list[float
     spread = np.hypot(model.bias_sd, noise)[None, :, None] + 1e-12
     mean = LOW + gain * (np.asarray(percepts, dtype=np.float64) - LOW)
     below, above = (LOW - mean) / spread, (HIGH - mean) / spread
-    cut = (
-        LOW * norm.cdf(below)
-        + HIGH * norm.sf(above)
-        + mean * (norm.cdf(above) - norm.cdf(below))
-        + spread * (norm.pdf(below) - norm.pdf(above))
-    )
+    cut = LOW * norm.cdf(below) + HIGH * norm.sf(above) + mean * (norm.cdf(above) - norm.cdf(below))
+    cut += spread * (norm.pdf(below) - norm.pdf(above))
     careful = np.einsum("i,j,ijk->k", weights, weights, cut)
     found: list[float] = (careful + model.lapse_rate * ((LOW + HIGH) / 2 - careful)).tolist()
     return found
@@ -251,7 +212,7 @@ class Experience:
     """A trial and what was felt in it: where each part lies, or which tone it was, or its first sensation level."""
 
     trial: Trial
-    points: Mapping[str, Location]
+    points: Mapping[str, Location] = field(default_factory=dict)
     tones: Mapping[str, Tone] = field(default_factory=dict)
     levels_db: Mapping[str, float] = field(default_factory=dict)
 
@@ -296,8 +257,6 @@ class Touch:
             return Location(spectral, temporal, is_reduced=False)
         bonus = self.model.reducers.get(stimulus.reducer, 0.0)
         if self.seed is not None and self.model.slope_sd:
-            import numpy as np
-
             rng = np.random.default_rng([self.seed, crc32(stimulus.recording.encode())])
             first, second = rng.normal(0, self.model.slope_sd, 2)
             # A perfect match feels the same in every recording.
@@ -311,16 +270,16 @@ class Touch:
         gained = model.intercept + model.spectral * point.spectral + model.temporal * point.temporal
         return gained + point.bonus
 
-    def measure_shortfall(self, point: Location, reference: Location) -> float:
-        """Compute how far something falls short of a reference, in points; what is better than it is below 0."""
-        is_judged = point.is_reduced and reference.is_reduced and point != reference
-        return self.measure_distance(point, reference) - (point.bonus if is_judged else 0.0)
-
     def measure_distance(self, first: Location, second: Location) -> float:
         """Compute how different two feel, in points."""
         bonus = 0.0 if first.is_reduced and second.is_reduced else first.bonus + second.bonus
         spectral = self.model.spectral * abs(first.spectral - second.spectral)
         return spectral + self.model.temporal * abs(first.temporal - second.temporal) - bonus
+
+    def measure_shortfall(self, point: Location, reference: Location) -> float:
+        """Compute how far something falls short of a reference, in points; what is better than it is below 0."""
+        is_judged = point.is_reduced and reference.is_reduced and point != reference
+        return self.measure_distance(point, reference) - (point.bonus if is_judged else 0.0)
 
     def judge(self, experience: Experience, judgement: Judgement) -> float:
         """Compute the slider answer, uncut, of a participant without bias, noise or habit, in points."""
@@ -356,9 +315,6 @@ def find_sure_end(trial: Trial) -> float:
 
 # Who the simulated participants of a study are.
 
-NUMBERED = re.compile(r"sim(\d+)")
-"""Codes that hold the number of a simulated person."""
-
 
 @dataclass(frozen=True, slots=True)
 class Casting:
@@ -366,6 +322,11 @@ class Casting:
 
     model: ObserverModel
     seed: int
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """What their answers depend on, for the header of their journals."""
+        return {"simulated": True, "seed": self.seed, "observer": self.model.model_dump()}
 
 
 def make_model(settings: Settings) -> ObserverModel:
@@ -378,9 +339,7 @@ def make_model(settings: Settings) -> ObserverModel:
     )
 
 
-def cast_observers(settings: Settings, *, seed: int) -> Casting:
-    """Set the observer parameters of a study's simulated participants, by the spectral match that it declares."""
-    return Casting(make_model(settings), seed)
+NUMBERED = re.compile(r"sim(\d+)")  # codes that hold the number of a simulated person
 
 
 def find_person(participant: str) -> int:
@@ -394,8 +353,3 @@ def find_person(participant: str) -> int:
     if numbered := NUMBERED.fullmatch(participant):
         return int(numbered[1])
     return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")
-
-
-def identify_observer(model: ObserverModel, *, seed: int) -> dict[str, Any]:
-    """List what the answers of simulated participants depend on, for the header of their journals."""
-    return {"simulated": True, "seed": seed, "observer": model.model_dump()}

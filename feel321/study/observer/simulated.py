@@ -1,4 +1,4 @@
-"""Simulated participants: what they answer and remember, and the presenter that needs no screen and no actuator."""
+"""Simulated participants: what they answer, and the presenter that needs no screen and no actuator."""
 
 from __future__ import annotations
 
@@ -7,31 +7,15 @@ from math import ceil, floor
 from typing import TYPE_CHECKING
 from zlib import crc32
 
-from feel321.protocols.threshold import (
-    ASKED,
-    DB_PER_POINT,
-    FIRST,
-    INTERVALS,
-    MIDDLE,
-    SECOND,
-    predict_correct,
-)
+import numpy as np
+
+from feel321.protocols import threshold as blocks
+from feel321.protocols.threshold import DB_PER_POINT, INTERVALS, MIDDLE, SECOND
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Page, Part, Scale, Trial
 from feel321.stimuli.thresholds import acceleration_threshold, to_db
 from feel321.study.minutes import STROKE_S
-from feel321.study.observer.model import (
-    HALF,
-    RANDOM_CLICKER,
-    REAL,
-    STRAIGHT_LINER,
-    Experience,
-    Location,
-    ObserverModel,
-    Touch,
-    draw_rater,
-    find_sure_end,
-)
-from feel321.study.session.events import TrialRated
+from feel321.study.observer import model as models
+from feel321.study.observer.model import HALF, Experience, ObserverModel, Touch, draw_rater
 from feel321.study.session.ports import (
     Act,
     Confirm,
@@ -42,88 +26,59 @@ from feel321.study.session.ports import (
     Scaled,
     TimedOut,
     Tone,
-)
+)  # fmt: skip
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    import numpy as np
+    from collections.abc import Iterator, Mapping
 
     from feel321.protocols.texts import Answer, Question
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.session.journal import Record
+    from feel321.study.session.ports import Felt
 
 SIMULATED_TEXT = "simulated"
 """The answer of simulated participants to a question that asks for a text."""
 
-FATIGUE_TRIALS = 100  # trials for which the size of fatigue is given
-
 
 class Participant:
-    """A simulated participant: what they answer to what they felt, and what they remember of it.
+    """A simulated participant: what they answer to what they felt."""
 
-    elapsed_s: time in s since their session began.
-    """
-
-    def __init__(
-        self, model: ObserverModel, *, seed: int, number: int, elapsed_s: float = 0.0
-    ) -> None:
-        self._seed, self._number, self._time_s = seed, number, elapsed_s
+    def __init__(self, model: ObserverModel, *, seed: int, number: int) -> None:
+        self._seed, self._number = seed, number
         self.touch = Touch(model, seed)
         self.rater = draw_rater(model, self._draw_from(0, 0))
-        self.before: Experience | None = None
-
-    def recall(
-        self, records: Iterable[Record], trials: Iterable[Trial], *, stimuli: Mapping[str, Stimulus]
-    ) -> None:
-        """Recall the trial that was answered last before a session was interrupted."""
-        main = {trial.number: trial for trial in trials if trial.phase == "main"}
-        rated = [record.data["trial"] for record in records if record.event == TrialRated.event]
-        if answered := [main[number] for number in rated if number in main]:
-            self.before = self.imagine(answered[-1], stimuli)
 
     def imagine(self, trial: Trial, stimuli: Mapping[str, Stimulus]) -> Experience:
         """Compute how all parts of a trial feel."""
-        felt = {
-            part.name: stimuli[part.stimulus_id] if part.stimulus_id else None
-            for part in trial.parts
-        }
-        return Experience(
-            trial, {name: self.touch.locate(stimulus) for name, stimulus in felt.items()}
-        )
+        named = {part.name: part.stimulus_id for part in trial.parts}
+        felt = {name: stimuli[code] if code else None for name, code in named.items()}
+        points = {name: self.touch.locate(stimulus) for name, stimulus in felt.items()}
+        return Experience(trial, points)
 
     def answer(
         self, experience: Experience, scale: Scale, place: Place
     ) -> tuple[dict[str, float | str], float]:
         """Answer a trial: the values by part, and the time that this took in s."""
-        trial, model = experience.trial, self.touch.model
+        trial, touch, rater = experience.trial, self.touch, self.rater
         rng = self._draw_from(trial.number, place.attempt)
         if trial.protocol == THRESHOLD:
-            return {ASKED: self._detect(experience.tones, rng)}, self.rater.draw_time(rng)
+            return {blocks.ASKED: self._detect(experience.tones, rng)}, rater.draw_time(rng)
         if trial.protocol == MATCHING:
-            points = self._match(experience.levels_db, rng)
-            return {SECOND: points}, self.rater.draw_time(rng)
-        tired = place.done / FATIGUE_TRIALS
-        growth = 1 + model.fatigue_noise * tired
+            return {SECOND: self._match(experience.levels_db, rng)}, rater.draw_time(rng)
         values: dict[str, float | str] = {}
         for judgement in trial.judgements:
             if judgement.part in scale.choices and judgement.reference_id is None:
-                percepts = {name: self.touch.feel(experience.find(name)) for name in scale.choices}
-                values[judgement.part] = self.rater.prefer(percepts, growth=growth, rng=rng)
+                percepts = {name: touch.feel(experience.find(name)) for name in scale.choices}
+                values[judgement.part] = rater.prefer(percepts, rng)
             elif scale.choices:
-                distances = self.touch.compare(experience, judgement, scale.choices)
-                values[judgement.key] = self.rater.choose(distances, growth=growth, rng=rng)
+                distances = touch.compare(experience, judgement, scale.choices)
+                values[judgement.key] = rater.choose(distances, rng)
             else:
                 # Further scales have draws of their own, which leave those of the first as they are.
-                own = self._draw_from(trial.number, place.attempt, crc32(judgement.scale.encode()))
-                values[judgement.key] = self.rater.rate(
-                    self.touch.judge(experience, judgement),
-                    sure=find_sure_end(trial),
-                    shift=model.fatigue * tired - self._find_contrast(trial),
-                    growth=growth,
-                    rng=own if judgement.scale else rng,
-                )
-        return values, len(values) * self.rater.draw_time(rng)
+                places = (trial.number, place.attempt, crc32(judgement.scale.encode()))
+                own = self._draw_from(*places) if judgement.scale else rng
+                percept, sure = touch.judge(experience, judgement), models.find_sure_end(trial)
+                values[judgement.key] = rater.rate(percept, own, sure=sure)
+        return values, len(values) * rater.draw_time(rng)
 
     def answer_question(self, question: Question, *, occasion: int) -> tuple[Answer, float]:
         """Answer a question page with anything that is an answer, and the time that this took in s."""
@@ -135,9 +90,8 @@ class Participant:
             low, high = question.low, question.high
             low = (0.0 if high is None else min(0.0, high - 1)) if low is None else low
             high = low + 100.0 if high is None else high
-            value = (
-                low if ceil(low) > floor(high) else float(rng.integers(ceil(low), floor(high) + 1))
-            )
+            first, last = ceil(low), floor(high)
+            value = low if first > last else float(rng.integers(first, last + 1))
         return value, self.rater.draw_time(rng)
 
     def find_threshold(self, frequency_hz: float) -> float:
@@ -155,40 +109,28 @@ class Participant:
         right = next((n for n in tones if tones[n].level_db is not None), INTERVALS[-1])
         tone, chance = tones[right], HALF
         if tone.level_db is not None:
+            own = self.find_threshold(tone.frequency_hz)
+            slope, lapse = self.touch.model.detection_slope, self.rater.lapse_rate * HALF
+            level = tone.level_db
             chance = float(
-                predict_correct(
-                    tone.level_db,
-                    threshold_db=self.find_threshold(tone.frequency_hz),
-                    slope=self.touch.model.detection_slope,
-                    lapse=self.rater.lapse_rate * HALF,  # a guess may be right
-                )
+                blocks.predict_correct(level, threshold_db=own, slope=slope, lapse=lapse)
             )
-        return self.rater.detect(chance, right, rng=rng)
+        return self.rater.detect(chance, right, rng)
 
     def _match(self, levels_db: Mapping[str, float], rng: np.random.Generator) -> float:
         """Move the marker until the second is as strong as the first, but for an error of one's own."""
-        guess, error_db = rng.uniform(*RATING_RANGE), rng.normal(0, self.touch.model.matching_sd)
-        points = MIDDLE + (levels_db[FIRST] - levels_db[SECOND] + error_db) / DB_PER_POINT
-        points = RATING_RANGE[1] if math.isnan(points) else points  # silence, which no marker helps
-        if self.rater.kind == RANDOM_CLICKER or rng.random() < self.rater.lapse_rate:
+        (low, high), kind = RATING_RANGE, self.rater.kind
+        guess, error_db = rng.uniform(low, high), rng.normal(0, self.touch.model.matching_sd)
+        apart_db = levels_db[blocks.FIRST] - levels_db[SECOND] + error_db
+        points = MIDDLE + apart_db / DB_PER_POINT
+        points = high if math.isnan(points) else points  # silence, which no marker helps
+        if kind == models.RANDOM_CLICKER or rng.random() < self.rater.lapse_rate:
             points = guess
-        elif self.rater.kind == STRAIGHT_LINER:
+        elif kind == models.STRAIGHT_LINER:
             points = MIDDLE
-        return round(min(max(points, RATING_RANGE[0]), RATING_RANGE[1]))
-
-    def _find_contrast(self, trial: Trial) -> float:
-        """Compute what the trial before takes away, in points; points on another scale take nothing."""
-        before, order = self.before, self.touch.model.order
-        if not order or before is None or trial.phase != "main":
-            return 0.0
-        if before.trial.scale != trial.scale:
-            return 0.0
-        percepts = [self.touch.judge(before, judged) for judged in before.trial.judgements]
-        return order * (sum(percepts) / len(percepts) - MIDDLE)
+        return round(min(max(points, low), high))
 
     def _draw_from(self, trial: int, attempt: int, *places: int) -> np.random.Generator:
-        import numpy as np
-
         return np.random.default_rng([self._seed, self._number, trial, attempt, *places])
 
 
@@ -198,10 +140,13 @@ def feel_level(scaled: Scaled) -> float:
 
 
 class SimulatedObserver(Participant):
-    """A presenter that needs no screen and no actuator: it answers by itself."""
+    """A presenter that needs no screen and no actuator: it answers by itself; elapsed_s: of its session, in s."""
 
-    _confirmed: Experience | None = None
-    _missed: tuple[str, ...] = ()
+    def __init__(
+        self, model: ObserverModel, *, seed: int, number: int, elapsed_s: float = 0.0
+    ) -> None:
+        super().__init__(model, seed=seed, number=number)
+        self._time_s, self._missed = elapsed_s, tuple[str, ...]()
 
     def show_page(self, page: Page, place: Place) -> Confirm:  # noqa: ARG002 - the port's form
         """Read a page for as long as it must be shown."""
@@ -217,36 +162,28 @@ class SimulatedObserver(Participant):
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Begin a trial."""
-        self.before, self._confirmed = self._confirmed or self.before, None
-        self._points: dict[str, Location] = {}
+        self._points: dict[str, models.Location] = {}
         self._tones: dict[str, Tone] = {}
         self._levels_db: dict[str, float] = {}
-        self._shown_s = self._time_s
         felt = Experience(trial, self._points, self._tones, self._levels_db)
-        self._acts = self._list_acts(felt, scale, place)
+        self._shown_s, self._acts = self._time_s, self._list_acts(felt, scale, place)
 
     def play(
-        self,
-        part: Part,
-        stimulus: Stimulus | Tone | Scaled,
-        *,
-        gap_s: float,
-        due_s: float | None = None,
+        self, part: Part, stimulus: Felt, *, gap_s: float, due_s: float | None = None
     ) -> Playback:
         """Feel a stimulus."""
-        gap_s = gap_s if due_s is None else max(gap_s, due_s - self._time_s)
         if isinstance(stimulus, Scaled):
             self._levels_db.setdefault(part.name, feel_level(stimulus))
-            return self._pass_playback(gap_s, stimulus.duration_s)
-        if isinstance(stimulus, Tone):
+        elif isinstance(stimulus, Tone):
             self._tones[part.name] = stimulus
-            return self._pass_playback(gap_s, stimulus.duration_s)
-        self._points[part.name] = self.touch.locate(stimulus)
+        else:
+            self._points[part.name] = self.touch.locate(stimulus)
+        gap_s = gap_s if due_s is None else max(gap_s, due_s - self._time_s)
         return self._pass_playback(gap_s, stimulus.duration_s)
 
     def prompt(self, part: Part) -> Playback:
         """Stroke the real surface."""
-        self._points[part.name] = REAL
+        self._points[part.name] = models.REAL
         return self._pass_playback(0.0, STROKE_S)
 
     def wait(self, limit_s: float | None = None) -> Act:
@@ -254,14 +191,12 @@ class SimulatedObserver(Participant):
         act = next(self._acts)
         if limit_s is None or not isinstance(act, Confirm) or act.response_time_s <= limit_s:
             return act
-        self._confirmed = None
         self._time_s = round(self._time_s - act.response_time_s + limit_s, 3)
         return TimedOut(self._time_s)
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
         """Feel what was not felt before the same answer is given again."""
         self._missed = parts if reason == "not_felt" else ()
-        self._confirmed = None
 
     def _list_acts(self, experience: Experience, scale: Scale, place: Place) -> Iterator[Act]:
         trial = experience.trial
@@ -276,8 +211,6 @@ class SimulatedObserver(Participant):
             yield Move(self._shown_s, SECOND, float(values[SECOND]))
             yield Feel(self._time_s)
         while True:
-            if trial.phase == "main":
-                self._confirmed = experience
             yield Confirm(self._time_s, values, round(self._time_s - asked_s, 3))
             for name in self._missed:
                 yield Feel(self._time_s, name)

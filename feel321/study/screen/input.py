@@ -3,24 +3,20 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 from feel321.protocols.texts import MOST_LETTERS, PageText, Question
 from feel321.protocols.texts import Answer as QuestionAnswer
 from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
-from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import PLAY, USUAL, KeysTable, label_key, label_keys, label_prompts
 from feel321.study.screen.sheet import Target
-from feel321.study.session.ports import Move, Place, Scaled, Tone
+from feel321.study.session.ports import Felt, Move, Place
 
 LAST_PAGE = "end"  # the page after which there is nothing
 LOOP = "⟳"
-
-MOVES = {"left": -1.0, "right": 1.0, "more": 10.0, "less": -10.0}
-"""How far actions move a marker, in points."""
-
-LISTS = frozenset({"rows", "scales"})  # kinds of screens with more than one slider
+MOVES = {"left": -1.0, "right": 1.0, "more": 10.0, "less": -10.0}  # how far, in points
 ROW_STEPS = {"up": -1, "down": 1}  # how far actions move the selection, in rows
+LISTS = frozenset({"rows", "scales"})  # kinds of screens with more than one slider
 FAR = frozenset({"up", "down", "more", "less"})  # actions that move far; their keys repeat slowly
 
 
@@ -40,8 +36,7 @@ class InputEvent:
     y: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Request:
+class Request(NamedTuple):
     """What the participant wants to be done, by key or by mouse."""
 
     name: str
@@ -54,8 +49,8 @@ class View:
     """Everything that is on the screen in one frame.
 
     kind: "page" to read or to answer, one "slider", "rows" with a slider for each vibration, "scales" with one for each
-    scale, or a "choice" between parts; state: "reading" a page, "feeling" a vibration or awaiting it, "stroking" the
-    real surface, "answering". Of a question that is answered, its name is in felt.
+    scale, or a "choice" between parts; state: "reading", "feeling" or about to, "stroking" the real surface,
+    "answering". Of a question that is answered, its name is in felt.
     """
 
     kind: str
@@ -98,9 +93,8 @@ class View:
     @property
     def is_done(self) -> bool:
         """Whether all was felt and all is answered."""
-        if self.trial is None or not self.has_felt_all:
-            return False
-        return bool(self.chosen) or self.markers.keys() >= set(self.trial.judged)
+        judged = set(self.trial.judged) if self.trial else set()
+        return self.has_felt_all and (bool(self.chosen) or self.markers.keys() >= judged)
 
     @property
     def can_leave(self) -> bool:
@@ -114,7 +108,7 @@ class Hand:
     def watch(self, view: View) -> None:
         """Look at what is on the screen."""
 
-    def feel(self, part: Part, stimulus: Stimulus | Tone | Scaled) -> None:
+    def feel(self, part: Part, stimulus: Felt) -> None:
         """Feel what is played."""
 
 
@@ -167,9 +161,8 @@ REST_S = 0.25  # how long a marker stands still before it has come to rest
 
 FIRST = 50.0
 """Where the first arrow makes a marker appear. There is none before, so nobody can leave it where it happens to be. An
-end would anchor: what lies far from it would be rated too close to it. The middle is as far from one end as from the
-other, so its pull favours neither answer, and it is the same for all vibrations. By digit or mouse a marker appears
-where it is put."""
+end would anchor; the middle favours neither answer, and is the same for all vibrations. By digit or mouse a marker
+appears where it is put."""
 
 
 def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEEDS) -> int:
@@ -186,17 +179,14 @@ class Answer:
     def __init__(self, trial: Trial, scale: Scale, keys: KeysTable = USUAL) -> None:
         self.kind = "rows" if trial.timing == "free" else "slider"
         self.kind = "choice" if scale.choices else "scales" if scale.further else self.kind
-        self.rated = trial.judged
+        self.rated, self.selected = trial.judged, trial.judged[0]
         self.markers: dict[str, float] = {}
-        self.selected = self.rated[0]
         self.chosen = self.typed = ""
-        self.felt: frozenset[str] = frozenset()
-        self.loops = False
+        self.felt, self.loops = frozenset[str](), False
         self._parts = [part.name for part in trial.parts]
         self._choices, self._keys = scale.choices, keys
         self._restless: dict[str, float] = {}
-        self._typed_s = 0.0
-        self._held, self._held_s, self._repeats = "", 0.0, 0
+        self._held, self._held_s, self._repeats, self._typed_s = "", 0.0, 0, 0.0
         self._dragged: Target | None = None
 
     @property
@@ -214,27 +204,24 @@ class Answer:
     def take(self, event: InputEvent, target: Target | None, *, can_answer: bool) -> Request | None:
         """Do what an event asks for, as far as it is about the answer."""
         match event.kind:
-            case "release" if self._held == (self._keys.name_action(event.key) or event.key):
-                self._held = ""
-            case "unfocused":
-                self._held = ""
             case "press":
-                return self._press(event, can_answer=can_answer)
+                return self._press(event.key, event.time_s, can_answer=can_answer)
             case "click":
                 return self._click(event, target)
             case "drag" if self._dragged and can_answer:
                 value = self._dragged.find_points(event.x)
                 self._set(self._dragged.part, value, event.time_s)
-            case _:
-                pass
+            case "unfocused":
+                self._held = ""
+            case "release" if self._held == (self._keys.name_action(event.key) or event.key):
+                self._held = ""
         return None
 
     def tick(self, time_s: float, *, can_answer: bool) -> None:
         """Let time pass: the key that went down last repeats while it is held, typed digits become a value."""
         if self._held:
             speeds = COARSE_SPEEDS if self._held in FAR else SPEEDS
-            before = self._repeats
-            self._repeats = count_repeats(time_s - self._held_s, speeds)
+            before, self._repeats = self._repeats, count_repeats(time_s - self._held_s, speeds)
             for _ in range(self._repeats - before if can_answer else 0):
                 self._step(self._held, time_s)
         if time_s - self._typed_s >= DIGITS_S:
@@ -257,16 +244,15 @@ class Answer:
         self.selected = still or self.selected
         return still is not None
 
-    def _press(self, event: InputEvent, *, can_answer: bool) -> Request | None:
-        key, time_s = event.key, event.time_s
+    def _press(self, key: str, time_s: float, *, can_answer: bool) -> Request | None:
         action = self._keys.name_action(key)
         if action == "again":
-            return self._feel_again(time_s)
+            return self._feel(time_s)
         if action == "reference" or action.startswith(PLAY):
             others = [part for part in self._parts if part != "reference"]
             number = int(action.removeprefix(PLAY)) if action.startswith(PLAY) else 0
             known = 0 < number <= len(others)
-            return self._feel_row(others[number - 1] if known else str(number or action), time_s)
+            return self._feel(time_s, others[number - 1] if known else str(number or action))
         if action == "loop" and self.kind == "rows":
             self.loops = not self.loops
         if can_answer:
@@ -275,24 +261,20 @@ class Answer:
             if self.kind == "choice":
                 self.chosen = key if key in self._choices and not action else self.chosen
             elif action == "type_values":
-                self._type(key, time_s)
+                # The number is a value as soon as no other digit can follow.
+                longer, highest = self.typed + key, RATING_RANGE[1]
+                self.typed, self._typed_s = key if float(longer) > highest else longer, time_s
+                if float(self.typed) * 10 > highest or self.typed == "00":
+                    self.finish_typing(time_s)
         return None
-
-    def _type(self, digit: str, time_s: float) -> None:
-        """Add a digit; the number is a value as soon as no other digit can follow."""
-        highest = RATING_RANGE[1]
-        is_over = float(self.typed + digit) > highest
-        self.typed, self._typed_s = digit if is_over else self.typed + digit, time_s
-        if float(self.typed) * 10 > highest or self.typed == "00":
-            self.finish_typing(time_s)
 
     def _click(self, event: InputEvent, target: Target | None) -> Request | None:
         self._dragged = target if target and target.name == "mark" else None
         match target.name if target else "":
             case "feel" if target:
-                return self._feel_row(target.part, event.time_s)
+                return self._feel(event.time_s, target.part)
             case "again":
-                return self._feel_again(event.time_s)
+                return self._feel(event.time_s)
             case "choose" if target:
                 self.chosen = target.part
             case "mark" if target:
@@ -300,14 +282,11 @@ class Answer:
                 self._set(target.part, target.find_points(event.x), event.time_s)
         return None
 
-    def _feel_again(self, time_s: float) -> Request:
-        return Request("feel", time_s, self.selected if self.kind == "rows" else "")
-
-    def _feel_row(self, part: str, time_s: float) -> Request:
-        """Feel one part, and let the keys move its marker if it has one."""
+    def _feel(self, time_s: float, part: str = "") -> Request:
+        """Feel one part, and let the keys move its marker if it has one; without one, feel again."""
         if self.kind == "rows" and part in self.rated:
             self.selected = part
-        return Request("feel", time_s, part)
+        return Request("feel", time_s, part or (self.selected if self.kind == "rows" else ""))
 
     def _step(self, action: str, time_s: float) -> None:
         """Move the marker, the row or the choice by one step."""
@@ -379,26 +358,22 @@ class Form:
 
     def take(self, event: InputEvent, target: Target | None) -> None:
         """Do what an event asks for."""
-        is_choice = bool(self.question.choices)
+        last, is_number = len(self.question.choices) - 1, self.question.kind == "number"
         if event.kind == "click" and target is not None and target.name == "choose":
             self.chosen = target.part
-        elif event.kind == "press" and is_choice:
-            self._choose(event.key)
         elif event.kind == "text" and event.key == BACKSPACE:
             self.typed = self.typed[:-1]
-        elif event.kind == "text" and not is_choice:
-            is_number = self.question.kind == "number"
+        elif event.kind == "text" and last < 0:
             letters = [one for one in event.key if one.isprintable()]
             letters = [one for one in letters if not is_number or one in NUMBER_SIGNS]
             most = MOST_DIGITS if is_number else MOST_LETTERS
             self.typed = (self.typed + "".join(letters))[:most]
-
-    def _choose(self, key: str) -> None:
-        last = len(self.question.choices) - 1
-        action = self._keys.name_action(key)
-        if action in {"", "type_values"}:
-            if key.isdigit() and 0 < int(key) <= last + 1:
-                self.chosen = str(int(key) - 1)
-        elif (step := {"up": -1, "left": -1, "down": 1, "right": 1}.get(action)) is not None:
-            place = (0 if step > 0 else last) if not self.chosen else int(self.chosen) + step
-            self.chosen = str(min(max(place, 0), last))
+        elif event.kind == "press" and last >= 0:
+            action = self._keys.name_action(event.key)
+            step = {"up": -1, "left": -1, "down": 1, "right": 1}.get(action, 0)
+            if action in {"", "type_values"} and event.key.isdigit():
+                is_there = 0 < int(event.key) <= last + 1
+                self.chosen = str(int(event.key) - 1) if is_there else self.chosen
+            elif step:
+                place = (0 if step > 0 else last) if not self.chosen else int(self.chosen) + step
+                self.chosen = str(min(max(place, 0), last))

@@ -1,7 +1,7 @@
 """Screens as pure geometry: a view in, boxes of pixels out; pages, questions, trials, and texts that are too long."""
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.protocols.trial import RATING_RANGE, Judgement, Page, Part, Scale, Trial
@@ -23,17 +23,22 @@ FIELD = 40.0  # width of the field of a number, in units
 ROW, POINT = 6.6, 15.0  # heights of an option or a row, and of a Likert point, in units
 POINT_LINES = 3  # most lines of the word of a point
 ENDS = 2  # words of a Likert item that names no other point
+QUESTION_LINES, LABEL_LINES = 3, 2
+LABEL = 0.45  # largest width of a slider's label, as a share of the track
+SOON_S = 3  # from when on the time that is left for an answer stands out
+BELOW = 1.5  # free space under a picture, in units
 
 TIGHTEST = (1920, 1080)
 """The screen that has the least room for its letters: as wide as it needs to be, and no higher."""
+
+ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
+"""Heights of what stands over a slider's track, of the track, and of what is free under it, in units."""
 
 BLOCK, BLOCK_TRACK, LEAST_PICTURE = 15.0, 4.0, 12.0
 """Heights, in units, of a slider where a trial has several, of its track, and of the least picture beside them."""
 
 MARGIN, VALUE = 2.5, 9.0
 """Widths, in units, of what is free left of such a slider, and of the number at its right."""
-
-SOON_S = 3  # from when on the time that is left for an answer stands out
 
 HINTS = {
     "slider": ("move", "coarse_rows", "digits"),
@@ -43,26 +48,26 @@ HINTS = {
 }
 """The keys that have no button, by kind of screen."""
 
-BELOW = 1.5  # free space under a picture, in units
-ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
-"""Heights of what stands over a slider's track, of the track, and of what is free under it, in units."""
-
-LABEL = 0.45  # largest width of a slider's label, as a share of the track
-QUESTION_LINES, LABEL_LINES = 3, 2
-
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
     """Lay out a screen of a size in pixels."""
     sheet, place = Sheet(*size), view.place
+    unit = sheet.unit
     # Trials that do not count, and the pages before those that do, are no progress.
     if place.done > 0 or (view.trial is not None and view.trial.phase == "main"):
-        bar, share = Box(0, 0, sheet.width, 0.8 * sheet.unit), place.done / max(place.total, 1)
+        bar, share = Box(0, 0, sheet.width, 0.8 * unit), place.done / max(place.total, 1)
         sheet.fill(bar, ui.PANEL)
         sheet.fill(Box(0, 0, max(sheet.width * share, 1.0), bar.height), ui.LINE)
         words = texts.prompts["trial"].format(done=place.done, total=place.total)
         sheet.write(sheet.find_strip("top"), words, ui.SMALL, color=ui.DIM, align="right")
     if view.notice:
-        _add_notice(sheet, view.notice)
+        strip = sheet.find_strip("notice")
+        lines = sheet.wrap(view.notice, strip.width - 6 * unit, ui.BODY, bold=True)
+        height = sheet.find_height(len(lines), ui.BODY)
+        mark = Box(strip.left, strip.top + strip.height / 2 - height / 2, 0.8 * unit, height)
+        sheet.fill(mark, ui.ORANGE)
+        box = Box(mark.right + 2 * unit, mark.top, strip.width - 4 * unit, height)
+        sheet.write(box, lines, ui.BODY, color=ui.ORANGE, bold=True)
     if view.question is not None:
         _add_question(sheet, view, view.question, texts=texts)
     elif view.page is not None:
@@ -72,26 +77,15 @@ def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
     return sheet
 
 
-def _add_notice(sheet: Sheet, words: str) -> None:
-    unit, strip = sheet.unit, sheet.find_strip("notice")
-    lines = sheet.wrap(words, strip.width - 6 * unit, ui.BODY, bold=True)
-    height = sheet.find_height(len(lines), ui.BODY)
-    mark = Box(strip.left, strip.top + strip.height / 2 - height / 2, 0.8 * unit, height)
-    box = Box(mark.right + 2 * unit, mark.top, strip.width - 4 * unit, height)
-    sheet.fill(mark, ui.ORANGE)
-    sheet.write(box, lines, ui.BODY, color=ui.ORANGE, bold=True)
-
-
-# Pages to read.
+# Pages to read, and to answer.
 
 
 def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> None:
     """Set title and text as a column, smaller where it is long, over the buttons and what to press."""
-    text, body = texts.pages[page.key], sheet.find_strip("body")
+    text, body, column = texts.pages[page.key], sheet.find_strip("body"), _find_column(sheet)
     # Not by `format`: a lab's own consent may hold braces of its own.
     words = text.text.replace("{answered}", str(view.place.answered))
     paragraphs = words.replace("{total}", str(view.place.total)).strip().splitlines()
-    column = _find_column(sheet)
     heading = sheet.wrap(text.title, column.width, ui.TITLE, bold=True)
     title_height = sheet.find_height(len(heading), ui.TITLE)
     for size in TEXT_SIZES:
@@ -101,12 +95,11 @@ def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
         height = title_height + sum(gap + block for block in heights)
         if height <= body.height:
             break
-    _limit_height(sheet, height)
-    top = body.top + max(0.0, body.height - height) * 0.4
-    sheet.write(replace(column, top=top), heading, ui.TITLE, bold=True)
+    top = _find_top(sheet, height)
+    sheet.write(column._replace(top=top), heading, ui.TITLE, bold=True)
     top += title_height + gap
     for block, block_height in zip(blocks, heights, strict=True):
-        sheet.write(replace(column, top=top), block, size)
+        sheet.write(column._replace(top=top), block, size)
         top += block_height + gap
     leave = [Button(texts.keys["leave"], "pause")] if view.can_leave else []
     if page.by == "experimenter":
@@ -129,42 +122,48 @@ def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
 def _find_column(sheet: Sheet) -> Box:
     body = sheet.find_strip("body")
     width = min(COLUMN * sheet.unit, body.width)
-    return Box((sheet.width - width) / 2, body.top, width, 0)
+    return Box((sheet.width - width) / 2, body.top, width)
 
 
-def _limit_height(sheet: Sheet, height: float) -> None:
-    screens = height / sheet.find_strip("body").height
-    if screens > 1 + 1e-9:
+def _find_top(sheet: Sheet, height: float) -> float:
+    """Find where what is so high begins, and note what is too high."""
+    body = sheet.find_strip("body")
+    if (screens := height / body.height) > 1 + 1e-9:
         sheet.faults.append(f"it must fit on one screen, got {screens:.1f} screens; shorten it")
-
-
-# Pages to answer.
+    return body.top + max(0.0, body.height - height) * 0.4
 
 
 def _add_question(sheet: Sheet, view: View, question: Question, *, texts: ScreenTexts) -> None:
     body, unit, column = sheet.find_strip("body"), sheet.unit, _find_column(sheet)
-    if question.kind == "likert":
-        column = Box(body.left, body.top, body.width, 0)
-    lines = sheet.wrap(question.question, column.width, ui.QUESTION, bold=True)
-    height = sheet.find_height(len(lines), ui.QUESTION) + 3 * unit
     needed = (len(question.options) or 1.5) * ROW * unit
     if question.kind == "likert":
+        column = body._replace(height=0.0)
         needed = POINT * unit + sheet.find_height(POINT_LINES, ui.SMALL)
     elif question.kind == "text":
         letters = sheet.measure("n" * MOST_LETTERS, ui.BODY)
         needed = sheet.find_height(letters // (column.width - 6 * unit) + 2, ui.BODY)
-    _limit_height(sheet, height + needed)
-    top = body.top + max(0.0, body.height - height - needed) * 0.4
-    sheet.write(replace(column, top=top), lines, ui.QUESTION, bold=True)
+    lines = sheet.wrap(question.question, column.width, ui.QUESTION, bold=True)
+    height = sheet.find_height(len(lines), ui.QUESTION) + 3 * unit
+    top = _find_top(sheet, height + needed)
+    sheet.write(column._replace(top=top), lines, ui.QUESTION, bold=True)
     box = Box(column.left, top + height, column.width, body.bottom - top - height)
     if question.kind == "likert":
-        _add_points(sheet, view, question, box=box)
+        _add_points(sheet, view, question.options, box=box)
     elif question.choices:
-        _add_options(sheet, view, question, box=box)
-    elif question.kind == "number":
-        _add_number(sheet, view, question, box=box)
+        _add_options(sheet, view, question.options, box=box)
     else:
-        _add_letters(sheet, view, replace(box, height=needed))
+        is_number = question.kind == "number"
+        height = 1.5 * ROW * unit if is_number else needed
+        field = Box(box.left, box.top, FIELD * unit if is_number else box.width, height)
+        sheet.fill(field, ui.PANEL, line=ui.BLUE, round_px=unit, line_px=0.3 * unit)
+        if is_number:
+            inner = Box(field.left + 3 * unit, field.top, field.width - 6 * unit, field.height)
+            sheet.write(inner, f"{view.typed}_", ui.QUESTION, bold=True)
+        else:
+            _add_letters(sheet, f"{view.typed}_", field)
+        if is_number and (question.low, question.high) != (None, None):
+            beside = Box(field.right + 3 * unit, field.top, box.right - field.right, field.height)
+            sheet.write(beside, question.describe_range(), ui.BODY, color=ui.DIM)
     if not question.required:
         optional = texts.questions["optional"]
         sheet.write(sheet.find_strip("top"), optional, ui.SMALL, color=ui.DIM)
@@ -175,10 +174,9 @@ def _add_question(sheet: Sheet, view: View, question: Question, *, texts: Screen
     sheet.add_hints([*_list_hints(question, texts)])
 
 
-def _add_options(sheet: Sheet, view: View, question: Question, *, box: Box) -> None:
-    unit = sheet.unit
-    row = min(ROW * unit, box.height / len(question.options))
-    for place, option in enumerate(question.options):
+def _add_options(sheet: Sheet, view: View, options: Sequence[str], *, box: Box) -> None:
+    unit, row = sheet.unit, min(ROW * sheet.unit, box.height / len(options))
+    for place, option in enumerate(options):
         field = Box(box.left, box.top + place * row, box.width, row - 0.8 * unit)
         is_chosen = view.chosen == str(place)
         ink = sheet.add_choice(field, str(place), is_chosen=is_chosen)
@@ -188,14 +186,13 @@ def _add_options(sheet: Sheet, view: View, question: Question, *, box: Box) -> N
         sheet.write(words, option, ui.BODY, color=ink, bold=is_chosen)
 
 
-def _add_points(sheet: Sheet, view: View, question: Question, *, box: Box) -> None:
+def _add_points(sheet: Sheet, view: View, options: Sequence[str], *, box: Box) -> None:
     """Set the points of a Likert item side by side, from low to high, with their words below."""
-    unit, count = sheet.unit, len(question.options)
-    named = sum(bool(text.strip()) for text in question.options)
-    step = box.width / count
+    unit, step = sheet.unit, box.width / len(options)
     # Where only the ends have words, these stand over several points.
-    room = step - unit if named > ENDS else 0.45 * box.width
-    for place, text in enumerate(question.options):
+    is_named = sum(bool(text.strip()) for text in options) > ENDS
+    room = step - unit if is_named else 0.45 * box.width
+    for place, text in enumerate(options):
         field = Box(box.left + place * step, box.top, step - 1.2 * unit, (POINT - 3) * unit)
         is_chosen = view.chosen == str(place)
         ink = sheet.add_choice(field, str(place), is_chosen=is_chosen)
@@ -209,35 +206,22 @@ def _add_points(sheet: Sheet, view: View, question: Question, *, box: Box) -> No
             align = "left" if place == 0 else "right"
             left = field.left if place == 0 else field.right - room
         lines = sheet.wrap(text, room, ui.SMALL)
-        sheet.write(Box(left, field.bottom + unit, room, 0), lines, ui.SMALL, align=align)
+        sheet.write(Box(left, field.bottom + unit, room), lines, ui.SMALL, align=align)
         sheet.limit_lines(len(lines), most=POINT_LINES, what=f"option {text!r}")
 
 
-def _add_number(sheet: Sheet, view: View, question: Question, *, box: Box) -> None:
-    """Draw a field with the digits that were typed and a cursor, beside it the numbers that are answers."""
-    unit = sheet.unit
-    field = Box(box.left, box.top, FIELD * unit, 1.5 * ROW * unit)
-    sheet.fill(field, ui.PANEL, line=ui.BLUE, round_px=unit, line_px=0.3 * unit)
-    inner = Box(field.left + 3 * unit, field.top, field.width - 6 * unit, field.height)
-    sheet.write(inner, f"{view.typed}_", ui.QUESTION, bold=True)
-    beside = Box(field.right + 3 * unit, field.top, box.right - field.right, field.height)
-    if question.low is not None or question.high is not None:
-        sheet.write(beside, question.describe_range(), ui.BODY, color=ui.DIM)
-
-
-def _add_letters(sheet: Sheet, view: View, field: Box) -> None:
-    """Draw a field with the last lines of what was typed, and a cursor; words without an end are cut."""
+def _add_letters(sheet: Sheet, typed: str, field: Box) -> None:
+    """Write the last lines of what was typed that a field has room for; words without an end are cut."""
     unit, room = sheet.unit, field.width - 6 * sheet.unit
-    sheet.fill(field, ui.PANEL, line=ui.BLUE, round_px=unit, line_px=0.3 * unit)
     pieces: list[str] = []
-    for line in sheet.wrap(f"{view.typed}_", room, ui.BODY):
+    for line in sheet.wrap(typed, room, ui.BODY):
         pieces.append("")
         for letter in line:
             if pieces[-1] and sheet.measure(pieces[-1] + letter, ui.BODY) > room:
                 pieces.append("")
             pieces[-1] += letter
     most = max(1, int((field.height - 2 * unit) // sheet.find_height(1, ui.BODY)))
-    sheet.write(Box(field.left + 3 * unit, field.top + unit, room, 0), pieces[-most:], ui.BODY)
+    sheet.write(Box(field.left + 3 * unit, field.top + unit, room), pieces[-most:], ui.BODY)
 
 
 def _list_hints(question: Question, texts: ScreenTexts) -> Iterator[str]:
@@ -269,16 +253,15 @@ class _TrialLayout:
     def add(self) -> None:
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
         body, top = sheet.find_strip("body"), sheet.find_strip("body").top
-        is_rows, is_stroking = view.kind == "rows", view.state == "stroking"
-        if not is_rows:
+        if view.kind != "rows":
             self.add_parts(top)
             top += 10.5 * unit
-        if view.kind == "scales" and not is_stroking:
+        if view.kind == "scales" and view.state != "stroking":
             self.add_scales(Box(body.left, top, body.width, body.bottom - top))
         else:
             top = self.add_question(top)
             box = Box(body.left, top, body.width, body.bottom - top)
-            if is_rows:
+            if view.kind == "rows":
                 self.add_rows(box)
             elif view.kind == "slider":
                 self.add_slider(box)
@@ -297,11 +280,10 @@ class _TrialLayout:
             prompt = self.texts.prompts["surface" if view.sample else "surface_unnamed"]
             question = prompt.format(sample=view.sample)
         lines = sheet.wrap(question, body.width, ui.QUESTION, bold=True)
-        box = Box(body.left, top, body.width, 0)
+        box = Box(body.left, top, body.width)
         sheet.write(box, lines, ui.QUESTION, bold=True, align="center")
         sheet.limit_lines(len(lines), most=QUESTION_LINES, what="question")
-        top += sheet.find_height(len(lines), ui.QUESTION)
-        top += (1.5 if is_rows else 3.0) * unit
+        top += sheet.find_height(len(lines), ui.QUESTION) + (1.5 if is_rows else 3.0) * unit
         if view.picture and not is_rows:
             below = self.find_slider_height() if view.kind == "slider" else 0.0
             room = body.bottom - top
@@ -314,9 +296,10 @@ class _TrialLayout:
         keys, view = self.texts.keys, self.view
         is_open = view.state == "answering" or view.loops
         is_ready = view.state == "stroking" or (is_open and view.is_done)
-        right = [
-            Button(keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=is_open)
-        ]
+        go_on = Button(
+            keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=is_open
+        )
+        right = [go_on]
         if view.state == "feeling":
             right.insert(0, Button(keys["stop"], "stop"))
         elif self.trial.timing != "strict":
@@ -340,14 +323,13 @@ class _TrialLayout:
         }
         # Wide enough that a tick stands apart from the name, which stays in the middle.
         width = max(sheet.measure(name, ui.BODY, bold=True) for name in names.values()) + 14 * unit
-        left = (sheet.width - len(names) * width - (len(names) - 1) * 2 * unit) / 2
-        can_feel = self.view.state == "answering" and self.trial.timing != "strict"
-        for part, name in names.items():
-            box = Box(left, top, width, 7 * unit)
-            self.add_part(box, part, name, size=ui.BODY)
-            if can_feel:
+        strip = Box(0, top, sheet.width, 7 * unit)
+        for part, box in zip(
+            names, sheet.line_up([width] * len(names), 2 * unit, strip), strict=True
+        ):
+            self.add_part(box, part, names[part], size=ui.BODY)
+            if self.view.state == "answering" and self.trial.timing != "strict":
                 sheet.targets.append(Target(box, "feel", part))
-            left += width + 2 * unit
 
     def add_part(self, box: Box, part: str, name: str, *, size: float) -> None:
         """Draw a part: filled while it is on, ticked once it was felt."""
@@ -371,16 +353,14 @@ class _TrialLayout:
     def add_track(self, track: Box, value: float | None, *, is_ready: bool, color: str) -> None:
         """Draw a line with ends, of whose places no other stands out, and the marker if there is one."""
         sheet, (low, high) = self.sheet, RATING_RANGE
-        ink = ui.DIM if is_ready else ui.LINE
-        thick = max(2.0, 0.45 * sheet.unit)
+        ink, thick = ui.DIM if is_ready else ui.LINE, max(2.0, 0.45 * sheet.unit)
         middle = track.top + track.height / 2
         sheet.fill(Box(track.left, middle - thick / 2, track.width, thick), ink)
-        top, height = track.top + track.height * 0.15, track.height * 0.7
         for x in (track.left, track.right):
-            sheet.fill(Box(x - thick / 2, top, thick, height), ink)
+            end = Box(x - thick / 2, track.top + track.height * 0.15, thick, track.height * 0.7)
+            sheet.fill(end, ink)
         if value is not None:
-            x = track.left + (value - low) / (high - low) * track.width
-            width = track.height * 0.36
+            x, width = track.left + (value - low) / (high - low) * track.width, track.height * 0.36
             box = Box(x - width / 2, track.top, width, track.height)
             sheet.fill(box, color, round_px=width / 2)
 
@@ -398,41 +378,33 @@ class _TrialLayout:
         return (ABOVE + TRACK + UNDER) * self.sheet.unit + self.sheet.find_height(lines, ui.BODY)
 
     def add_slider(self, box: Box) -> None:
-        """Set one slider with its number over it; they and the labels together stand in the middle of the box."""
+        """Set one slider with its number over it and numbers and words of its ends under it, in the middle of a box."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
         part, width = self.trial.judgements[0].part, self.find_slider_width()
         top = box.top + max(0.0, box.height - self.find_slider_height()) / 2
         track = Box((sheet.width - width) / 2, top + ABOVE * unit, width, TRACK * unit)
         is_ready, value = view.can_answer, view.markers.get(part)
-        self.label_ends(track)
+        step, top = sheet.find_height(1, ui.BODY), track.bottom + UNDER * unit
+        if self.scale.anchors:
+            self.write_along(track, top, self.scale.anchors)
+            top += step
+        for number, lines, at in zip(RATING_RANGE, self.wrap_labels(), (0, 1), strict=True):
+            align, width = ("left", "right")[at], LABEL * track.width
+            end = Box(track.left + at * (track.width - width), top, width, step)
+            sheet.write(end, f"{number:.0f}", ui.SMALL, color=ui.DIM, align=align)
+            sheet.write(end._replace(top=top + step), lines, ui.BODY, align=align)
+            sheet.limit_lines(len(lines), most=LABEL_LINES, what="longer label")
         if view.typed or value is not None:
             is_typing = bool(view.typed) or value is None
-            at = 0.5 if is_typing or value is None else value / RATING_RANGE[1]
+            share = 0.5 if is_typing or value is None else value / RATING_RANGE[1]
             words = f"{view.typed}_" if is_typing else f"{value:.0f}"
             number, size = sheet.measure("100_", ui.QUESTION, bold=True), ui.QUESTION * unit
-            left = track.left + at * track.width - number / 2
-            over = Box(left, track.top - 1.9 * size, number, sheet.find_height(1, ui.QUESTION))
+            left, height = track.left + share * track.width, sheet.find_height(1, ui.QUESTION)
+            over = Box(left - number / 2, track.top - 1.9 * size, number, height)
             sheet.write(over, words, ui.QUESTION, bold=True, align="center")
         self.add_track(track, value, is_ready=is_ready, color=ui.BLUE if is_ready else ui.LINE)
         if is_ready:
             sheet.targets.append(Target(track.grow(2 * unit), "mark", part, track))
-
-    def label_ends(self, track: Box) -> None:
-        """Write the numbers and words of both ends under the track, and over them what stands in between."""
-        sheet, scale = self.sheet, self.scale
-        step, top = sheet.find_height(1, ui.BODY), track.bottom + UNDER * sheet.unit
-        if scale.anchors:
-            self.write_along(track, top, scale.anchors)
-            top += step
-        width = LABEL * track.width
-        ends = (("left", track.left), ("right", track.right - width))
-        for number, lines, (align, left) in zip(
-            RATING_RANGE, self.wrap_labels(), ends, strict=True
-        ):
-            box = Box(left, top, width, step)
-            sheet.write(box, f"{number:.0f}", ui.SMALL, color=ui.DIM, align=align)
-            sheet.write(Box(left, top + step, width, step), lines, ui.BODY, align=align)
-            sheet.limit_lines(len(lines), most=LABEL_LINES, what="longer label")
 
     def write_along(self, track: Box, top: float, words: Sequence[str]) -> None:
         sheet, last = self.sheet, max(len(words) - 1, 1)
@@ -445,26 +417,26 @@ class _TrialLayout:
 
     def add_choices(self, box: Box) -> None:
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        count, names = len(self.scale.choices), map(self.texts.name_part, self.scale.choices)
-        widest = max(sheet.measure(name, 2 * ui.QUESTION, bold=True) for name in names)
+        names = {name: self.texts.name_part(name) for name in self.scale.choices}
+        widest = max(sheet.measure(name, 2 * ui.QUESTION, bold=True) for name in names.values())
         width, height = max(34 * unit, widest + 6 * unit), min(22 * unit, box.height)
-        gap = 8 * unit
-        left = (sheet.width - count * width - (count - 1) * gap) / 2
-        top = box.top + (box.height - height) / 2
-        for place, name in enumerate(self.scale.choices):
-            field = Box(left + place * (width + gap), top, width, height)
+        strip = Box(0, box.top + (box.height - height) / 2, sheet.width, height)
+        fields = sheet.line_up([width] * len(names), 8 * unit, strip)
+        for (name, words), field in zip(names.items(), fields, strict=True):
             is_chosen = name == view.chosen
             ink = GROUND if is_chosen else INK if view.can_answer else ui.DIM
             fill = ui.BLUE if is_chosen else ui.PANEL
             sheet.fill(field, fill, line=ui.LINE, round_px=2 * unit, line_px=0.3 * unit)
-            words = self.texts.name_part(name)
             sheet.write(field, words, 2 * ui.QUESTION, color=ink, bold=True, align="center")
             if view.can_answer:
                 sheet.targets.append(Target(field, "choose", name))
 
     def add_rows(self, box: Box) -> None:
-        """Set the reference beside the words of the scale, and under them a row for each vibration."""
-        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        """Set the reference beside the words of the scale, and under them a row for each vibration.
+
+        Equal bands, each with its word above, cut the sliders: ITU-R BS.1534-3, attachment 1.
+        """
+        sheet, scale, unit = self.sheet, self.scale, self.sheet.unit
         rated = [judgement.part for judgement in self.trial.judgements]
         names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}
         width = max(sheet.measure(name, ui.SMALL, bold=True) for name in names.values()) + 9 * unit
@@ -474,77 +446,67 @@ class _TrialLayout:
         height = head - step + len(rated) * row
         grid = Box(left, box.top + step, box.right - 11 * unit - left, height)
         low = Box(left, box.top, grid.width / 2, step)
-        sheet.write(low, self.scale.low_label, ui.SMALL)
-        high = Box(low.right, box.top, low.width, step)
-        sheet.write(high, self.scale.high_label, ui.SMALL, align="right")
-        self.add_bands(grid)
-        spots = {
-            name: Box(box.left, box.top, width, 2 * step) for name in names if name not in rated
-        }
+        sheet.write(low, scale.low_label, ui.SMALL)
+        sheet.write(low._replace(left=low.right), scale.high_label, ui.SMALL, align="right")
+        for place, word in enumerate(scale.anchors):
+            wide = grid.width / len(scale.anchors)
+            band = Box(grid.left + place * wide, grid.top, wide, step)
+            sheet.write(band, word, ui.SMALL, color=ui.DIM, align="center")
+            if place:
+                sheet.fill(Box(band.left - 0.1 * unit, grid.top, 0.2 * unit, grid.height), ui.LINE)
+        spots = {k: Box(box.left, box.top, width, 2 * step) for k in names if k not in rated}
         for place, name in enumerate(rated):
             line = Box(box.left, box.top + head + place * row, box.width, row)
             track = Box(left, line.top + 0.14 * row, grid.width, 0.72 * row)
             self.add_row(name, line, track)
-            if view.can_rate(name):
-                target = Box(left - 2 * unit, line.top, grid.width + 4 * unit, row)
-                sheet.targets.append(Target(target, "mark", name, track))
             spots[name] = Box(box.left + unit, line.top + 0.04 * row, width - unit, 0.92 * row)
         for name, spot in spots.items():
             self.add_part(spot, name, names[name], size=ui.SMALL)
             sheet.targets.append(Target(spot, "feel", name))
 
-    def add_bands(self, grid: Box) -> None:
-        """Cut a list of sliders into equal bands, each with its word above: ITU-R BS.1534-3, attachment 1."""
-        sheet, unit, count = self.sheet, self.sheet.unit, len(self.scale.anchors)
-        height = sheet.find_height(1, ui.SMALL)
-        for place, word in enumerate(self.scale.anchors):
-            band = Box(grid.left + place * grid.width / count, grid.top, grid.width / count, height)
-            sheet.write(band, word, ui.SMALL, color=ui.DIM, align="center")
-            if place:
-                line = Box(band.left - 0.1 * unit, grid.top, 0.2 * unit, grid.height)
-                sheet.fill(line, ui.LINE)
-
     def add_row(self, name: str, line: Box, track: Box) -> None:
-        sheet, unit = self.sheet, self.sheet.unit
-        is_selected, value = name == self.view.selected, self.view.markers.get(name)
+        sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        is_selected, value, color = name == view.selected, view.markers.get(name), INK
         if is_selected:
+            color = ui.BLUE
             sheet.fill(line, "", line=ui.LINE, line_px=0.2 * unit)
             sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), ui.BLUE)
-        color = ui.BLUE if is_selected else INK
-        self.add_track(track, value, is_ready=self.view.can_rate(name), color=color)
+        self.add_track(track, value, is_ready=view.can_rate(name), color=color)
         if value is not None:
             width = line.right - track.right - 4 * unit
             box = Box(track.right + 3 * unit, line.top, width, line.height)
             sheet.write(box, f"{value:.0f}", ui.BODY, bold=True, align="right")
+        if view.can_rate(name):
+            target = Box(track.left - 2 * unit, line.top, track.width + 4 * unit, line.height)
+            sheet.targets.append(Target(target, "mark", name, track))
 
     def add_scales(self, box: Box) -> None:
         """Set the sliders of several scales under each other, each with its question above and its ends below."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        keys = self.trial.judged
-        height = min(19 * unit, box.height / len(keys))
-        top = box.top + (box.height - height * len(keys)) / 2
-        room = box.height - BLOCK * unit * len(keys) - BELOW * unit
+        count = len(self.trial.judged)
+        height = min(19 * unit, box.height / count)
+        top = box.top + (box.height - height * count) / 2
+        room = box.height - BLOCK * unit * count - BELOW * unit
         if view.picture and room >= LEAST_PICTURE * unit:
             height = BLOCK * unit
             sheet.items.append(Photo(Box(box.left, box.top, box.width, room), view.picture))
             top = box.top + room + BELOW * unit
-        for place, (key, judgement) in enumerate(zip(keys, self.trial.judgements, strict=True)):
-            scale = self.scale.find(judgement.scale)
+        for place, judgement in enumerate(self.trial.judgements):
             line = Box(box.left, top + place * height, box.width, height)
-            self.add_scale(key, scale, line, number=place + 1)
+            self.add_scale(judgement, line, number=place + 1)
 
-    def add_scale(self, key: str, scale: Scale, line: Box, *, number: int) -> None:
+    def add_scale(self, judgement: Judgement, line: Box, *, number: int) -> None:
         """Draw one of several sliders, with its number, its question and its ends, as large as where there is one."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
+        key, scale = judgement.key, self.scale.find(judgement.scale)
         is_selected, value = key == view.selected, view.markers.get(key)
         left, width = line.left + MARGIN * unit, line.width - (2 * MARGIN + VALUE) * unit
         head = Box(left, line.top, width, sheet.find_height(1, ui.BODY))
-        ink = INK if view.can_answer else ui.DIM
+        ink, color = INK if view.can_answer else ui.DIM, ui.BLUE if is_selected else INK
         sheet.write(head, f"{number}  {scale.question}", ui.BODY, color=ink, bold=True)
         track = Box(left, head.bottom + 0.4 * unit, width, BLOCK_TRACK * unit)
         if is_selected:
             sheet.fill(Box(line.left, head.top, 0.8 * unit, track.bottom - head.top), ui.BLUE)
-        color = ui.BLUE if is_selected else INK
         self.add_track(track, value, is_ready=view.can_answer, color=color)
         words = "" if value is None else f"{value:.0f}"
         words = f"{view.typed}_" if view.typed and is_selected else words
@@ -552,17 +514,15 @@ class _TrialLayout:
         sheet.write(beside, words, ui.BODY, bold=True, align="right")
         top, step = track.bottom + 0.2 * unit, head.height
         low = Box(left, top, LABEL * width, step)
-        high = Box(track.right - low.width, top, low.width, step)
         sheet.write(low, scale.low_label, ui.BODY)
+        high = low._replace(left=track.right - low.width)
         sheet.write(high, scale.high_label, ui.BODY, align="right")
         # Its words stand between the ends; the first and the last say what the labels do.
-        ends = {scale.low_label: low.left, scale.high_label: high.right}
-        free = width - 2 * max(sheet.measure(label, ui.BODY) for label in ends)
-        middle = scale.anchors[1:-1]
-        if middle:
-            room = Box(left + (width - free) / 2, top, free, step)
+        if middle := scale.anchors[1:-1]:
+            labels = (scale.low_label, scale.high_label)
+            room = width - 2 * max(sheet.measure(label, ui.BODY) for label in labels)
             self.write_along(track, top, ["", *middle, ""])
-            if sheet.measure("  ".join(middle), ui.SMALL) > room.width:
+            if sheet.measure("  ".join(middle), ui.SMALL) > room:
                 sheet.faults.append("its anchors must fit between its labels; shorten them")
         if view.can_answer:
             target = Box(left - unit, head.top, width + 2 * unit, top + step - head.top)
@@ -580,9 +540,10 @@ def find_overflows(
     together: Collection[str] = (),
 ) -> list[str]:
     """Find texts that are too long for a screen; together: names of scales that share one."""
-    place, views = Place(999, 999), dict[str, View]()
-    for key in texts.pages:
-        views[f"page {key!r}"] = View("page", "reading", 0, place, page=Page(key))
+    views = {
+        f"page {key!r}": View("page", "reading", 0, Place(999, 999), page=Page(key))
+        for key in texts.pages
+    }
     for scale in scales:
         parts, asked = (Part("test", ""),), (Judgement("test", "", scale=scale.name),)
         trial = Trial(0, 0, 0, "", "", "replay", "", parts, asked)

@@ -6,29 +6,17 @@ It shows, plays and passes on what the participant does; the engine decides what
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from math import ceil
+from math import ceil, inf
 
 from feel321.protocols.texts import Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
-from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.actuator.output import Output
 from feel321.study.screen.input import Answer, Form, Hand, InputEvent, Request, ScreenTexts, View
 from feel321.study.screen.layout import compose
 from feel321.study.screen.sheet import Sheet
 from feel321.study.screen.window import Window
-from feel321.study.session.ports import (
-    Abort,
-    Act,
-    Confirm,
-    Feel,
-    Pause,
-    Place,
-    Playback,
-    Scaled,
-    Surface,
-    TimedOut,
-    Tone,
-)
+from feel321.study.session import ports
+from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Place, Playback, Surface
 
 DOUBLE_S = 0.4  # a second click within this time is half of a double one: it leaves no page
 TWICE_S = 1.0  # time within which a key counts as pressed twice
@@ -72,13 +60,13 @@ class Screen:
             event = self._events.popleft()
             if event.kind in {"press", "click"}:
                 self.notice = ""
-            if (request := self._interpret(event)) is None:
-                continue
-            if request.name == "confirm" and event.kind == "click":
+            request = self._interpret(event)
+            if request and request.name == "confirm" and event.kind == "click":
                 if event.time_s - self._confirmed_s < DOUBLE_S:
                     continue  # the other half of a double one
                 self._confirmed_s = event.time_s
-            yield request
+            if request:
+                yield request
         if self.view.trial is not None:
             self.find_answer().tick(self._clock(), can_answer=self.view.can_answer)
 
@@ -94,14 +82,8 @@ class Screen:
             view = replace(view, typed=form.typed, chosen=form.chosen, felt=felt)
         if view.trial is not None:
             answer = self.find_answer()
-            view = replace(
-                view,
-                markers=answer.markers,
-                selected=answer.selected,
-                chosen=answer.chosen,
-                typed=answer.typed,
-                loops=answer.loops,
-            )
+            names = ("markers", "selected", "chosen", "typed", "loops")
+            view = replace(view, **{name: getattr(answer, name) for name in names})
         self._hand.watch(view)
         if view != self._composed[0]:
             self._composed = view, compose(view, self._texts, size=self.window.size)
@@ -140,7 +122,6 @@ class Screen:
         return self._paused_s is not None and time_s - self._paused_s <= TWICE_S
 
 
-CLOSED = "the window was closed"
 LEFT = "the participant ended it for today"
 
 LOOP_S = 60.0  # how long a vibration goes on and on at most, until it is asked for again
@@ -166,7 +147,7 @@ class ScreenPresenter:
         self._output, self._texts, self._clock, self._surfaces = output, texts, clock, surfaces
         self._acts: deque[Act] = deque()
         self._possible_s = 0.0
-        self._is_switching = self._is_at_end = self._goes_round = False
+        self._is_switching = self._goes_round = False
         self._asked_s = 0.0
 
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
@@ -203,55 +184,44 @@ class ScreenPresenter:
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Show a trial, all markers unset."""
-        answer = Answer(trial, scale, self._texts.own_keys)
-        self._acts.clear()
-        surface = self._surfaces.get(trial.recording)
-        view = View(
-            answer.kind,
-            "feeling",
-            self._screen.view.screen + 1,
-            place,
-            trial=trial,
-            scale=scale,
-            picture=surface.picture if surface else None,
-            sample=(surface.sample if surface else None) or "",
+        answer, surface = (
+            Answer(trial, scale, self._texts.own_keys),
+            self._surfaces.get(trial.recording),
         )
+        self._acts.clear()
+        sample, picture = surface or (None, None)
+        view = View(answer.kind, "feeling", self._screen.view.screen + 1, place, None, None, trial)
+        view = replace(view, scale=scale, picture=picture, sample=sample or "")
         self._screen.bring_up(view, answer)
         self._possible_s = self._clock()
 
     def play(
-        self,
-        part: Part,
-        stimulus: Stimulus | Tone | Scaled,
-        *,
-        gap_s: float,
-        due_s: float | None = None,
+        self, part: Part, stimulus: ports.Felt, *, gap_s: float, due_s: float | None = None
     ) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
-        window = self._screen.window
         self._announce("feeling", part)
         self._hand.feel(part, stimulus)
-        late = window.late_frames
         answer, goes_round = self._screen.find_answer(), self._goes_round
-        goes_on, self._goes_round, self._is_switching = self._is_switching, False, False
+        late, goes_on = self._screen.window.late_frames, self._is_switching and answer.loops
+        self._goes_round = self._is_switching = False
         self._asked_s = self._asked_s if goes_round else self._clock()
         pause_s = LOOP_PAUSE_S if goes_round else gap_s
         pause_s = pause_s if due_s is None else max(pause_s, due_s - self._clock())
-        self._output.start(stimulus, gap_s=pause_s, goes_on=goes_on and answer.loops)
+        self._output.start(stimulus, gap_s=pause_s, goes_on=goes_on)
         try:
-            act = self._watch_playing()
+            act, is_at_end = self._watch_playing()
         except BaseException:
             self._output.stop()
             raise
         playback = self._output.collect()
         self._end_part(part, is_felt=playback.completed and not playback.error)
         is_free = answer.loops and self._clock() - self._asked_s < LOOP_S
-        if is_free and self._is_at_end and not playback.error and not act:
+        if is_free and is_at_end and not playback.error and not act:
             self._goes_round = True
             self._acts.extend(answer.settle(self._clock()))
             self._acts.append(Feel(self._clock(), part.name))  # again, until something else is done
-        measured = {**playback.measured, "late_frames": window.late_frames - late}
-        return replace(playback, act=act, measured=measured)
+        late = self._screen.window.late_frames - late
+        return replace(playback, act=act, measured={**playback.measured, "late_frames": late})
 
     def prompt(self, part: Part) -> Playback:
         """Ask the participant to stroke the real surface, and wait until that is done."""
@@ -276,7 +246,7 @@ class ScreenPresenter:
                 left_s = limit_s - self._clock() + self._possible_s
                 self._screen.view = replace(self._screen.view, left_s=max(1, ceil(left_s)))
                 if left_s <= 0 and not self._acts:
-                    return TimedOut(self._clock())
+                    return ports.TimedOut(self._clock())
         return self._acts.popleft()
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
@@ -288,11 +258,13 @@ class ScreenPresenter:
         self._screen.view = replace(self._screen.view, state=state, playing=part.name)
         self._screen.show_frame()
 
-    def _watch_playing(self) -> Pause | Abort | None:
-        """Show frames until the output is silent; what ends the trial stops it, and so does feeling another part."""
+    def _watch_playing(self) -> tuple[Pause | Abort | None, bool]:
+        """Show frames until the output is silent: what ends the trial or feels another part stops it.
+
+        Returns the act that ends the trial, and whether the vibration came to its end.
+        """
         act: Pause | Abort | None = None
-        stopped_s = float("inf")
-        answer = self._screen.find_answer()
+        stopped_s, answer = inf, self._screen.find_answer()
         while self._output.is_playing and self._clock() - stopped_s < SILENCE_S:
             for request in self._screen.listen():
                 is_switch = request.name == "feel" and self._screen.view.kind == "rows"
@@ -304,8 +276,7 @@ class ScreenPresenter:
                 if act or is_switch or request.name == "stop":
                     self._output.stop()
                     stopped_s = min(stopped_s, self._clock())
-        self._is_at_end = stopped_s == float("inf")
-        return act
+        return act, stopped_s == inf
 
     def _end_part(self, part: Part, *, is_felt: bool) -> None:
         # What was felt to its end stays felt, though it be cut short when it is felt again.
@@ -320,7 +291,7 @@ class ScreenPresenter:
 def find_end(request: Request) -> Pause | Abort | None:
     """Return the act by which a request ends the trial, if it does."""
     if request.name == "close":
-        return Abort(request.time_s, CLOSED)
+        return Abort(request.time_s, "the window was closed")
     return Pause(request.time_s) if request.name == "pause" else None
 
 

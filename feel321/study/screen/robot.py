@@ -9,20 +9,17 @@ from collections.abc import Callable, Mapping
 from math import copysign
 
 from feel321.protocols.texts import Question
-from feel321.protocols.trial import MATCHING, Page, Part, Trial
+from feel321.protocols.trial import MATCHING, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import KEY_NAMES, PLAY, USUAL, KeysTable
 from feel321.study.observer.model import Experience
 from feel321.study.observer.simulated import Participant, feel_level
-from feel321.study.screen.input import ENTER, LISTS, MOVES, ROW_STEPS, Hand, View
-from feel321.study.session.ports import Scaled, Tone
+from feel321.study.screen.input import ENTER, LISTS, MOVES, Hand, View
+from feel321.study.session.ports import Felt, Scaled, Tone
 
 KEYSYMS = {name: name for name in KEY_NAMES[-10:]} | {
-    "enter": "Return",
-    "pageup": "Prior",
-    "pagedown": "Next",
-    "backspace": "BackSpace",
-}
+    "enter": "Return", "pageup": "Prior", "pagedown": "Next", "backspace": "BackSpace",
+}  # fmt: skip
 """X11's names of keys, where they are not ours, beginning with a capital."""
 
 
@@ -39,7 +36,7 @@ class XKeyboard:
                 "simulated participant: python-xlib not found, which works on Linux with X11; install it: "
                 "pip install python-xlib"
             ) from None
-        self._down, self._up, self._find_keysym = X.KeyPress, X.KeyRelease, XK.string_to_keysym
+        self._events, self._find_keysym = (X.KeyRelease, X.KeyPress), XK.string_to_keysym
         try:
             self._display = Display()
         except DisplayError as error:
@@ -47,23 +44,16 @@ class XKeyboard:
                 f"simulated participant: {error}; set DISPLAY to the name of an X11 screen"
             ) from None
 
-    def press(self, key: str) -> None:
-        """Press a key down."""
-        self._send(self._down, key)
-
-    def release(self, key: str) -> None:
-        """Release a key."""
-        self._send(self._up, key)
+    def press(self, key: str, *, is_down: bool = True) -> None:
+        """Press a key down, or release it."""
+        name = KEYSYMS.get(key, key.capitalize() if len(key) > 1 else key)
+        code = self._display.keysym_to_keycode(self._find_keysym(name))
+        self._display.xtest_fake_input(self._events[is_down], code)
+        self._display.sync()
 
     def close(self) -> None:
         """Leave the screen."""
         self._display.close()
-
-    def _send(self, event: int, key: str) -> None:
-        name = KEYSYMS.get(key, key.capitalize() if len(key) > 1 else key)
-        code = self._display.keysym_to_keycode(self._find_keysym(name))
-        self._display.xtest_fake_input(event, code)
-        self._display.sync()
 
 
 RETRY_S, RETRIES = 2.0, 15  # pause before a failed device is tried again, and how often that is
@@ -83,41 +73,34 @@ class PressingHand(Hand):
         clock: Callable[[], float],
         keys: KeysTable = USUAL,
     ) -> None:
-        self._keys = keys
-        self._mind, self._keyboard, self._stimuli, self._clock = mind, keyboard, stimuli, clock
-        self._task: tuple[int, str] = (-1, "")
-        self._since_s = 0.0
+        self._mind, self._keyboard, self._stimuli = mind, keyboard, stimuli
+        self._clock, self._keys = clock, keys
+        self._task, self._since_s = (-1, ""), 0.0
         self._values: Mapping[str, float | str] = {}
         self._tones: dict[str, Tone] = {}
         self._levels_db: dict[str, float] = {}
         self._seen: Mapping[str, float] = {}
         self._felt: Mapping[str, float] = {}
-        self._experience: Experience | None = None
-        self._confirmed: Experience | None = None
-        self._held = ""
-        self._settling = 0
-        self._retries = 0
+        self._held, self._settling, self._retries = "", 0, 0
 
     def watch(self, view: View) -> None:
         """Look at what is on the screen, and press or release a key."""
         self._seen = view.markers
         if view.screen != self._task[0]:
-            self._experience, self._values = None, {}
-            self._tones, self._levels_db = {}, {}
-            self._mind.before, self._confirmed = self._confirmed or self._mind.before, None
+            self._values, self._tones, self._levels_db = {}, {}, {}
         if (task := (view.screen, view.state)) != self._task:
             self._task, self._since_s = task, self._clock()
         wait_s = RETRY_S if view.page is not None and view.page.key == "call_us" else THINKING_S
         if self._held:
-            self._keyboard.release(self._held)
+            self._keyboard.press(self._held, is_down=False)
             self._held, self._settling = "", SETTLING_FRAMES
         elif self._settling:
             self._settling -= 1
         elif self._clock() - self._since_s >= wait_s and (act := self._choose_act(view)):
-            self._held = self._keys.find_key(act) or act  # digits are typed as they are
+            self._held = self._keys.find_key(act) or act  # letters are typed as they are
             self._keyboard.press(self._held)
 
-    def feel(self, part: Part, stimulus: Stimulus | Tone | Scaled) -> None:
+    def feel(self, part: Part, stimulus: Felt) -> None:
         """Feel a tone or a level; what stimuli of a set feel like is known to the participant by their names."""
         self._felt = self._seen
         if isinstance(stimulus, Tone):
@@ -126,68 +109,49 @@ class PressingHand(Hand):
             self._levels_db.setdefault(part.name, feel_level(stimulus))
 
     def _choose_act(self, view: View) -> str:
-        """Choose what to do with the next key: an action, or a digit to type; empty to wait."""
-        match view.state:
-            case "reading" if view.question is not None:
-                return self._answer_question(view, view.question)
-            case "reading":
-                return "" if view.left_s else self._leave(view.page)
-            case "stroking":
-                return "next"
-            case "answering" if view.trial is not None:
-                return self._answer(view, view.trial)
-        return ""
+        """Choose what to do with the next key: an action, or a letter to type; empty to wait."""
+        if view.question is not None:
+            return self._answer_question(view, view.question)
+        if view.state == "reading" and view.page is not None and not view.left_s:
+            if view.page.key == "call_us":
+                self._retries += 1
+                return "pause" if self._retries > RETRIES else "experimenter"
+            return "experimenter" if view.page.by == "experimenter" else "next"
+        if view.state == "answering" and view.trial is not None:
+            return self._answer(view, view.trial)
+        return "next" if view.state == "stroking" else ""
 
     def _answer_question(self, view: View, question: Question) -> str:
         """Type or choose, one key at a time, then confirm."""
         value, _ = self._mind.answer_question(question, occasion=view.place.attempt)
         if question.choices:
-            target = str(question.choices.index(value))
-            if view.chosen == target:
+            target = question.choices.index(value)
+            if view.chosen == str(target):
                 return "next"
-            if self._keys.type_values:
-                return str(int(target) + 1)
-            return "down" if not view.chosen or int(view.chosen) < int(target) else "up"
+            return "down" if not view.chosen or int(view.chosen) < target else "up"
         text = f"{value:g}" if isinstance(value, float) else str(value)
         if view.typed == text:
             return ENTER  # whatever key confirms elsewhere, it may be one that types
-        is_begun = text.startswith(view.typed)
-        key = text[len(view.typed)] if is_begun else "backspace"
+        key = text[len(view.typed)] if text.startswith(view.typed) else "backspace"
         return {"-": "minus", ".": "period"}.get(key, key)
-
-    def _leave(self, page: Page | None) -> str:
-        if page is None or page.key != "call_us":
-            return "experimenter" if page and page.by == "experimenter" else "next"
-        self._retries += 1
-        return "pause" if self._retries > RETRIES else "experimenter"
 
     def _answer(self, view: View, trial: Trial) -> str:
         """Feel what was not felt, answer what was not answered, confirm; empty to wait."""
         if unfelt := [part.name for part in trial.parts if part.name not in view.felt]:
-            self._confirmed = None
             # Its own key where parts are felt at will, elsewhere all are felt again.
             return self._feel_row(view, unfelt[0]) if view.kind == "rows" else "again"
-        if self._experience is None and view.scale is not None:
-            self._experience = (
-                Experience(trial, {}, self._tones, self._levels_db)
-                if self._tones or self._levels_db
-                else self._mind.imagine(trial, self._stimuli)
-            )
-            self._values, _ = self._mind.answer(self._experience, view.scale, view.place)
-        for judgement in trial.judgements:
-            value = self._values[judgement.key]
-            if isinstance(value, str):
-                choices = view.scale.choices if view.scale else ()
-                act = None if view.chosen == value else "left" if value == choices[0] else "right"
-            else:
-                act = self._move_marker(view, judgement.key, round(value))
-            if act is not None:
-                return act
-        if trial.protocol == MATCHING and self._felt != view.markers:
-            return "again"  # It is another vibration now.
-        if trial.phase == "main":
-            self._confirmed = self._experience
-        return "next"
+        if not self._values and view.scale is not None:
+            own = Experience(trial, {}, self._tones, self._levels_db)
+            is_own = bool(self._tones or self._levels_db)
+            felt = own if is_own else self._mind.imagine(trial, self._stimuli)
+            self._values, _ = self._mind.answer(felt, view.scale, view.place)
+        for key, value in self._values.items():
+            if isinstance(value, str) and view.scale is not None and view.chosen != value:
+                return "left" if value == view.scale.choices[0] else "right"
+            if not isinstance(value, str) and view.markers.get(key) != round(value):
+                return self._move_marker(view, key, round(value))
+        # After a marker was moved, it is another vibration.
+        return "again" if trial.protocol == MATCHING and self._felt != view.markers else "next"
 
     def _feel_row(self, view: View, part: str) -> str:
         action = f"{PLAY}{part}" if part.isdigit() else "reference"
@@ -195,19 +159,11 @@ class PressingHand(Hand):
             return action
         return "again" if view.selected == part else _go_to_row(view, part)
 
-    def _move_marker(self, view: View, part: str, target: int) -> str | None:
-        """Find what brings a marker nearer to a value: empty to wait, None if it stands there."""
-        marker = view.markers.get(part)
-        if marker == target and not (view.typed and view.selected == part):
-            return None
+    def _move_marker(self, view: View, part: str, target: int) -> str:
+        """Find what brings a marker nearer to a value."""
         if view.kind in LISTS and view.selected != part:
             return _go_to_row(view, part)
-        # Every other trial by digits, so that both ways are used.
-        if self._keys.type_values and view.trial is not None and view.trial.number % 2:
-            text = str(target)
-            is_open = view.typed != text and text.startswith(view.typed)
-            return text[len(view.typed)] if is_open else ""
-        if marker is None:
+        if (marker := view.markers.get(part)) is None:
             return "right"  # Where the first key puts a marker is the screen's business.
         apart = target - marker
         steps = {action: copysign(1, apart) * step for action, step in MOVES.items()}
@@ -217,5 +173,6 @@ class PressingHand(Hand):
 
 def _go_to_row(view: View, part: str) -> str:
     rows = view.trial.judged if view.trial else []
-    direction = 1 if view.selected not in rows else rows.index(part) - rows.index(view.selected)
-    return next((action for action, step in ROW_STEPS.items() if step * direction > 0), "")
+    return (
+        "up" if view.selected in rows and rows.index(part) < rows.index(view.selected) else "down"
+    )

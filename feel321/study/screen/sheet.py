@@ -8,8 +8,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from itertools import accumulate
 from math import cos, pi, sin
 from pathlib import Path
+from typing import NamedTuple
 
 from matplotlib.ft2font import FT2Font
 
@@ -26,8 +28,8 @@ BODY, SMALL, QUESTION, TITLE = 3.0, 2.8, 4.0, 5.6
 FONT = "DejaVu Sans"
 LEADING = 1.3  # height of a line of text, in heights of its letters (em)
 SLACK = 1.04  # factor by which the window's text engine may set a line wider: whole pixels
-
 WIDE = 1.58  # screens at least this wide for their height are measured by their height
+SHOWN = 60  # letters of a text that are quoted where it is too long
 
 STRIPS = {
     "top": (2.5, 7.0),
@@ -40,14 +42,13 @@ STRIPS = {
 progress, the page or trial, what passes, buttons, and what the keys do that have none."""
 
 
-@dataclass(frozen=True, slots=True)
-class Box:
+class Box(NamedTuple):
     """A rectangle on the screen, in pixels from the screen's upper left corner."""
 
     left: float
     top: float
     width: float
-    height: float
+    height: float = 0.0
 
     @property
     def right(self) -> float:
@@ -68,8 +69,7 @@ class Box:
         return Box(self.left - by, self.top - by, self.width + 2 * by, self.height + 2 * by)
 
 
-@dataclass(frozen=True, slots=True)
-class Text:
+class Text(NamedTuple):
     """One line of text, in the middle of its box's height; size: height of the letters (em), in pixels."""
 
     box: Box
@@ -80,8 +80,7 @@ class Text:
     align: str = "left"
 
 
-@dataclass(frozen=True, slots=True)
-class Area:
+class Area(NamedTuple):
     """A filled rectangle or its outline, with rounded corners."""
 
     box: Box
@@ -91,8 +90,7 @@ class Area:
     line_px: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Photo:
+class Photo(NamedTuple):
     """A picture as large as its box allows."""
 
     box: Box
@@ -102,8 +100,7 @@ class Photo:
 Item = Text | Area | Photo
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
+class Target(NamedTuple):
     """Something to click or drag on; track: of a slider, along which its marker goes."""
 
     box: Box
@@ -118,8 +115,7 @@ class Target:
         return float(round(min(max(points, low), high)))
 
 
-@dataclass(frozen=True, slots=True)
-class Button:
+class Button(NamedTuple):
     """A button; share: how much of the time until it is ready has gone by, from 0 to 1.
 
     explains: whether it can be clicked before it is ready, to learn what is missing.
@@ -189,7 +185,10 @@ def _open_font(*, bold: bool) -> FT2Font:
 
 @dataclass(slots=True)
 class Sheet:
-    """A screen while it is composed: its size in pixels, what has been put on it, and what of that is too long."""
+    """A screen while it is composed: its size in pixels, what has been put on it, and what of that is too long.
+
+    Sizes of letters and counts of units are in units, all else is in pixels.
+    """
 
     width: float
     height: float
@@ -210,15 +209,15 @@ class Sheet:
         return Box((self.width - width) / 2, top, width, bottom - top)
 
     def measure(self, words: str, size: float, *, bold: bool = False) -> float:
-        """Measure the width of a line of text, in pixels; size: in units."""
+        """Measure the width of a line of text."""
         return measure(words, size * self.unit, bold=bold)
 
     def find_height(self, n_lines: float, size: float) -> float:
-        """Compute the height of lines of text, in pixels; size: in units."""
+        """Compute the height of lines of text."""
         return n_lines * size * self.unit * LEADING
 
     def wrap(self, words: str, width: float, size: float, *, bold: bool = False) -> list[str]:
-        """Break a text into lines of at most a width in pixels; line breaks of its author stay. size: in units."""
+        """Break a text into lines of at most a width; line breaks of its author stay."""
         lines: list[str] = []
         for paragraph in words.strip().splitlines():
             lines.append("")
@@ -246,14 +245,13 @@ class Sheet:
         bold: bool = False,
         align: str = "left",
     ) -> None:
-        """Write a line of text, or several under each other from the top of a box; size: in units."""
+        """Write a line of text, or several under each other from the top of a box."""
         size_px = size * self.unit
         step = box.height if isinstance(words, str) else size_px * LEADING
         for place, line in enumerate([words] if isinstance(words, str) else words):
-            if not line:
-                continue
-            row = Box(box.left, box.top + place * step, box.width, step)
-            self.items.append(Text(row, line, size_px, color, bold, align))
+            if line:
+                row = Box(box.left, box.top + place * step, box.width, step)
+                self.items.append(Text(row, line, size_px, color, bold, align))
             if measure(line, size_px, bold=bold) > box.width + 0.5:
                 short = line if len(line) <= SHOWN else f"{line[:SHOWN]}..."
                 self.faults.append(f"got {short!r}, which is too long for its place; shorten it")
@@ -272,55 +270,53 @@ class Sheet:
         self.targets.append(Target(box, "choose", part))
         return GROUND if is_chosen else INK
 
+    def line_up(
+        self, widths: Sequence[float], gap: float, strip: Box, *, at: float = 0.5
+    ) -> list[Box]:
+        """Set boxes of some widths side by side in a strip; at: 0 at its left end, 1 at its right one."""
+        left = strip.left + at * (strip.width - sum(widths) - gap * (len(widths) - 1))
+        lefts = accumulate(widths, lambda before, width: before + width + gap, initial=left)
+        return [
+            Box(at, strip.top, own, strip.height) for at, own in zip(lefts, widths, strict=False)
+        ]
+
     def add_buttons(self, left: Sequence[Button], right: Sequence[Button]) -> None:
         """Put buttons at both ends of their strip: what each does, then the key that does the same."""
         strip, unit = self.find_strip("buttons"), self.unit
-        gap = 2 * unit
-        widths = {}
-        for button in (*left, *right):
-            key, action = split_key(button.text)
-            words = self.measure(action, SMALL, bold=True) + self.measure(key, SMALL)
-            widths[button] = words + 6.5 * unit
-        start = strip.right - sum(widths[button] for button in right) - gap * (len(right) - 1)
-        for place, buttons in ((strip.left, left), (start, right)):
-            for button in buttons:
-                box = Box(place, strip.top, widths[button], strip.height)
-                self._add_button(button, box)
+        for at, buttons in enumerate((left, right)):
+            words = [split_key(button.text) for button in buttons]
+            sizes = [
+                (self.measure(action, SMALL, bold=True), self.measure(key, SMALL))
+                for key, action in words
+            ]
+            boxes = self.line_up([sum(own) + 6.5 * unit for own in sizes], 2 * unit, strip, at=at)
+            for button, box, (key, action), own in zip(buttons, boxes, words, sizes, strict=True):
+                is_blue = button.is_main and button.is_ready
+                fill, line = (BLUE, "") if is_blue else (PANEL, LINE)
+                self.fill(box, fill, line=line, round_px=1.2 * unit, line_px=0.25 * unit)
+                if button.share:
+                    gone = Box(box.left, box.top, box.width * button.share, box.height)
+                    self.fill(gone, LINE, round_px=1.2 * unit)
+                is_dim = not (button.is_ready or button.share)
+                place = Box(box.left + 2.5 * unit, box.top, own[0], box.height)
+                color = GROUND if is_blue else DIM if is_dim else INK
+                self.write(place, action, SMALL, color=color, bold=True)
+                place = Box(place.right + 1.5 * unit, box.top, own[1], box.height)
+                color = GROUND if is_blue else INK if button.share else DIM
+                self.write(place, key, SMALL, color=color)
                 if button.is_ready or button.explains:
                     self.targets.append(Target(box, button.name))
-                place = box.right + gap  # noqa: PLW2901 - walks along the strip
-
-    def _add_button(self, button: Button, box: Box) -> None:
-        unit, (key, action) = self.unit, split_key(button.text)
-        left, width = box.left + 2.5 * unit, self.measure(action, SMALL, bold=True)
-        words = Box(left, box.top, width, box.height)
-        cap = Box(words.right + 1.5 * unit, box.top, self.measure(key, SMALL), box.height)
-        if button.is_main and button.is_ready:
-            self.fill(box, BLUE, round_px=1.2 * unit, line_px=0.25 * unit)
-            action_color = key_color = GROUND
-        else:
-            self.fill(box, PANEL, line=LINE, round_px=1.2 * unit, line_px=0.25 * unit)
-            action_color = INK if button.is_ready or button.share else DIM
-            key_color = INK if button.share else DIM
-        if button.share:
-            gone = Box(box.left, box.top, box.width * button.share, box.height)
-            self.fill(gone, LINE, round_px=1.2 * unit)
-        self.write(words, action, SMALL, color=action_color, bold=True)
-        self.write(cap, key, SMALL, color=key_color)
 
     def add_hints(self, texts: Sequence[str]) -> None:
         """Write in one line what keys do that have no button."""
         unit, strip = self.unit, self.find_strip("hints")
-        words = []
-        for text in texts:
-            key, _, action = text.partition("  ")
-            words += [(key, True, 1.0 * unit), (action, False, 4.5 * unit)]
-        widths = [self.measure(word, SMALL, bold=bold) for word, bold, _ in words]
-        left = (self.width - sum(widths) - sum(gap for *_, gap in words[:-1])) / 2
-        for (word, bold, gap), width in zip(words, widths, strict=True):
-            box = Box(left, strip.top, width, strip.height)
-            self.write(box, word, SMALL, color=DIM, bold=bold)
-            left += width + gap
-
-
-SHOWN = 60  # letters of a text that are quoted where it is too long
+        words = [text.partition("  ")[::2] for text in texts]
+        sizes = [
+            (self.measure(key, SMALL, bold=True) + unit, self.measure(action, SMALL))
+            for key, action in words
+        ]
+        boxes = self.line_up([sum(own) for own in sizes], 4.5 * unit, strip)
+        for (key, action), box, (own, other) in zip(words, boxes, sizes, strict=True):
+            place = Box(box.left, box.top, own - unit, box.height)
+            self.write(place, key, SMALL, color=DIM, bold=True)
+            self.write(Box(box.left + own, box.top, other, box.height), action, SMALL, color=DIM)

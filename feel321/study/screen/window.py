@@ -3,10 +3,9 @@
 PsychoPy is imported when a window is opened: that takes one to two seconds from a warm disk and up to eight from a
 cold one. Only its window, text, polygons and pictures are used; its Slider cannot be moved by keys.
 
-Keys are read from the window's own events. PsychoPy's Keyboard stamps them more finely, by reading the devices
-themselves, but so it also receives what is typed into any other window: what the experimenter types in the terminal
-would answer for the participant. (Under Xvfb it received none of 20 keys, the window all of them.) Events are collected
-every millisecond or two between frames, and stamped by the session's own clock.
+Keys are read from the window's own events. PsychoPy's Keyboard stamps them more finely, but reads the devices
+themselves: what the experimenter types in the terminal would answer for the participant. Events are collected every
+millisecond or two between frames, and stamped by the session's own clock.
 
 Python raises what Ctrl-C means wherever it happens to be: in the middle of a record of the journal, or in a callback
 of the window system, where the exception is printed and lost. While a screen is open, the first signal waits until a
@@ -33,24 +32,19 @@ WINDOW_SIZE = (1280, 800)  # default size of a window, in pixels
 DESTROY_NOTIFY = 17  # X11's number of the event that a window was destroyed
 REDRAW_S = 0.5  # what has not changed is drawn again, in case something covered it
 
+REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faster
+HELD = (signal.SIGINT, signal.SIGTERM)
+
 ALIASES = {
-    "return": "enter",
-    "page_up": "pageup",
-    "page_down": "pagedown",
-    "add": "plus",
-    "subtract": "minus",
-    "divide": "slash",
-    "decimal": "period",
-}
+    "return": "enter", "page_up": "pageup", "page_down": "pagedown", "add": "plus", "subtract": "minus",
+    "divide": "slash", "decimal": "period",
+}  # fmt: skip
 
 
 def name_key(symbol: str) -> str:
     """Name a key, the same on the main block and on the number block."""
     name = symbol.lower().removeprefix("num_").removeprefix("_")
     return ALIASES.get(name, name)
-
-
-REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faster
 
 
 def drop_repeats(events: list[InputEvent]) -> list[InputEvent]:
@@ -64,9 +58,6 @@ def drop_repeats(events: list[InputEvent]) -> list[InputEvent]:
         else:
             kept.append(event)
     return kept
-
-
-HELD = (signal.SIGINT, signal.SIGTERM)
 
 
 @contextmanager
@@ -104,14 +95,16 @@ def hold_signals() -> Iterator[Callable[[], None]]:
 
 
 class Window:
-    """A window that shows items and collects events; clock: gives the time in s since the session began."""
+    """A window that shows items and collects events; clock: gives the time in s since the session began.
+
+    drawn: PsychoPy's objects of the items that are shown.
+    """
 
     def __init__(
         self, handle: Foreign, clock: Callable[[], float], deliver_signals: Callable[[], None]
     ) -> None:
         self.handle, self.clock, self.deliver_signals = handle, clock, deliver_signals
         self.drawn: dict[sheet.Item, Foreign] = {}
-        """PsychoPy's objects of the items that are shown."""
         self.late_frames = 0
         self._events: list[InputEvent] = []
         self._shown: tuple[sheet.Item, ...] = ()
@@ -126,14 +119,19 @@ class Window:
 
     def show(self, items: Sequence[sheet.Item]) -> list[InputEvent]:
         """Show items for a frame, and collect what is done in it."""
-        items = tuple(items)
-        began = time.perf_counter()
+        items, began = tuple(items), time.perf_counter()
         if not self._is_closed and (items != self._shown or began > self._redraw_s):
             self._draw(items)
             if items != self._shown:
                 self.late_frames += time.perf_counter() - began > 1.5 * FRAME_S
             self._shown, self._redraw_s = items, began + REDRAW_S
-        self._await_frame()
+        self._due_s = max(self._due_s + FRAME_S, time.perf_counter())
+        while True:
+            self.handle.winHandle.dispatch_events()
+            left_s = self._due_s - time.perf_counter()
+            if left_s <= 0:
+                break
+            time.sleep(min(POLL_S, left_s))
         self.deliver_signals()
         if self._is_closed:
             # With every frame: who shows another screen meanwhile must not miss it.
@@ -159,66 +157,46 @@ class Window:
             self._is_closed = True
 
     def _make(self, item: sheet.Item) -> Foreign:
-        if isinstance(item, sheet.Photo):
-            return self._make_picture(item)
-        return self._make_text(item) if isinstance(item, sheet.Text) else self._make_area(item)
-
-    def _make_text(self, text: sheet.Text) -> Foreign:
+        from psychopy.visual.image import ImageStim
+        from psychopy.visual.shape import BaseShapeStim
         from psychopy.visual.text import TextStim
 
-        box = text.box
-        x = {"left": box.left, "right": box.right}.get(text.align, box.left + box.width / 2)
+        box = item.box
+        if isinstance(item, sheet.Photo):
+            middle = self._turn_up(box.left + box.width / 2, box.top + box.height / 2)
+            image = ImageStim(self.handle, str(item.path), pos=middle)
+            width, height = image.size
+            scale = min(box.width / width, box.height / height)
+            image.size = width * scale, height * scale
+            return image
+        if isinstance(item, sheet.Area):
+            inner = box.grow(-item.line_px / 2) if item.line else box
+            return BaseShapeStim(
+                self.handle,
+                vertices=[self._turn_up(*at) for at in sheet.round_corners(inner, item.round_px)],
+                fillColor=item.fill or None,
+                lineColor=item.line or None,
+                lineWidth=item.line_px,
+            )
+        x = {"left": box.left, "right": box.right}.get(item.align, box.left + box.width / 2)
         return TextStim(
             self.handle,
-            text.words,
+            item.words,
             font=sheet.FONT,
-            bold=text.bold,
-            height=text.size,
-            color=text.color,
+            bold=item.bold,
+            height=item.size,
+            color=item.color,
             pos=self._turn_up(round(x), round(box.top + box.height / 2)),
-            anchorHoriz=text.align,
-            alignText=text.align,
+            anchorHoriz=item.align,
+            alignText=item.align,
             anchorVert="center",
             wrapWidth=10 * self.handle.size[0],  # lines were broken by the layout
         )
-
-    def _make_area(self, area: sheet.Area) -> Foreign:
-        from psychopy.visual.shape import BaseShapeStim
-
-        box = area.box.grow(-area.line_px / 2) if area.line else area.box
-        return BaseShapeStim(
-            self.handle,
-            vertices=[self._turn_up(x, y) for x, y in sheet.round_corners(box, area.round_px)],
-            fillColor=area.fill or None,
-            lineColor=area.line or None,
-            lineWidth=area.line_px,
-        )
-
-    def _make_picture(self, photo: sheet.Photo) -> Foreign:
-        from psychopy.visual.image import ImageStim
-
-        box = photo.box
-        middle = self._turn_up(box.left + box.width / 2, box.top + box.height / 2)
-        image = ImageStim(self.handle, str(photo.path), pos=middle)
-        width, height = image.size
-        scale = min(box.width / width, box.height / height)
-        image.size = width * scale, height * scale
-        return image
 
     def _turn_up(self, x: float, y: float) -> tuple[float, float]:
         """Count from the middle, upwards, as PsychoPy does."""
         width, height = self.handle.size
         return x - width / 2, height / 2 - y
-
-    def _await_frame(self) -> None:
-        """Collect events until the frame is over."""
-        self._due_s = max(self._due_s + FRAME_S, time.perf_counter())
-        while True:
-            self.handle.winHandle.dispatch_events()
-            left_s = self._due_s - time.perf_counter()
-            if left_s <= 0:
-                return
-            time.sleep(min(POLL_S, left_s))
 
     def listen(self) -> None:
         """Collect the window's events from now on; PsychoPy's own lists of them would grow for hours."""
@@ -288,25 +266,21 @@ def open_screen(
 
 def check_screen(screen: int) -> None:
     """Refuse a number that no monitor has: PsychoPy would take the first one instead, with a warning."""
-    try:
+    with _needing_display():
         from pyglet.canvas import get_display
 
         monitors = get_display().get_screens()  # numbered as PsychoPy numbers them
-    except Exception as error:
-        _raise_display_error(error)
-        raise
     if screen not in range(len(monitors)):
         listed = ", ".join(f"{n} ({one.width} x {one.height})" for n, one in enumerate(monitors))
         raise ValueError(f"--screen must be one of the monitors found: {listed}; got {screen}")
 
 
 def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Foreign:
-    try:
+    with _needing_display():
         from psychopy import logging, monitors, visual  # looks for a display already here
 
-        logging.console.setLevel(
-            logging.ERROR
-        )  # it warns of what is meant: no monitor is calibrated
+        # It warns of what is meant: no monitor is calibrated.
+        logging.console.setLevel(logging.ERROR)
         handle = visual.Window(
             size=size,
             fullscr=not windowed,
@@ -320,9 +294,6 @@ def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Forei
             # Nearly all edges are straight, and where a processor draws it doubles a frame's time.
             multiSample=False,
         )
-    except Exception as error:
-        _raise_display_error(error)
-        raise
     from pyglet import font
 
     for file in sheet.find_font_files():
@@ -331,9 +302,14 @@ def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Forei
     return handle
 
 
-def _raise_display_error(error: Exception) -> None:
+@contextmanager
+def _needing_display() -> Iterator[None]:
     """Say in our words that there is no display; whatever else an error is, it is left alone."""
-    if type(error).__name__ == "NoSuchDisplayException":
+    try:
+        yield
+    except Exception as error:
+        if type(error).__name__ != "NoSuchDisplayException":
+            raise
         display = os.environ.get("DISPLAY")
         raise OSError(
             f"no display found (DISPLAY is {display!r}); use one on which windows can be opened"

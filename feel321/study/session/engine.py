@@ -7,7 +7,7 @@ in the journal before the next one may happen. An audit runs the same engine on 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from itertools import takewhile
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -15,18 +15,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import Question, find_question, read_scales
 from feel321.protocols.threshold import ATTENUATION_DB, INTERVALS, MIDDLE, SECOND, Matching
-from feel321.protocols.trial import (
-    FREE,
-    MATCHING,
-    RATING_RANGE,
-    THRESHOLD,
-    Flow,
-    Page,
-    Part,
-    Scale,
-    Task,
-    Trial,
-)
+from feel321.protocols.trial import FREE, MATCHING, RATING_RANGE, THRESHOLD, Page, Scale, Trial
 from feel321.study.session import events, ports
 from feel321.study.session.events import TIMED_OUT
 from feel321.study.session.plan import Plan, advance, list_by_code, recall_detection, replay
@@ -35,6 +24,7 @@ from feel321.study.session.ports import Place, Presenter
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
+    from feel321.protocols.trial import Flow, Part, Task
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
     from feel321.study.session.journal import Journal
 
@@ -44,14 +34,13 @@ Keep = Callable[[str, int, float | str | None], str]
 LOST_IN_A_ROW = 2
 """Trials that the device lost in a row, after which the experimenter is called, and again after each one more."""
 
-BROKEN = "the device failed twice in a row; check it, then resume"
-"""Reason of a session that ends while the experimenter is called."""
-
-TOLD_S = 1.0
-"""How long the page that time was up stays: a key that came just too late must not take it away unread."""
-
-LATE_S = 0.1
-"""A trial that begins so much after it was due moves the schedule; what is less does not add up."""
+BROKEN = (
+    "the device failed twice in a row; check it, then resume"  # while the experimenter is called
+)
+TOLD_S = (
+    1.0  # for which the page that time was up stays: a key that came too late must not take it away
+)
+LATE_S = 0.1  # a trial that begins so much after it was due moves the schedule
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,12 +81,11 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
     scales: texts by name of scale, English by default. on_step: called with the progress at the opening and after every
     page and trial. keep: keeps personal answers apart from the journal.
     """
-    by_code = list_by_code(stimuli, seed=plan.seed)
     scales = read_scales() if scales is None else scales
+    by_code, stopped = list_by_code(stimuli, seed=plan.seed), ""
     session = Session(
         plan, presenter, journal, stimuli=by_code, scales=scales, keep=keep, on_step=on_step
     )
-    stopped = ""
     try:
         session.lead()
     except Stopped as stop:
@@ -125,36 +113,33 @@ def find_gap(trial: Trial, task: Task | None, flow: Flow) -> float:
     return flow.gap_s if task is None or task.gap_s is None else task.gap_s
 
 
+@dataclass
 class Session:
     """A session under way: the agenda, the blocks and the schedule, as the journal so far leaves them.
 
     stimuli: by blind code.
     """
 
-    def __init__(  # noqa: PLR0913 - all that a session needs
-        self,
-        plan: Plan,
-        presenter: Presenter,
-        journal: Journal,
-        *,
-        stimuli: Mapping[str, Stimulus],
-        scales: Mapping[str, Scale],
-        keep: Keep | None = None,
-        on_step: Callable[[Place], None] = lambda _: None,
-    ) -> None:
-        self.plan, self.flow, self.journal = plan, plan.flow, journal
-        self.presenter, self.stimuli, self.scales = presenter, stimuli, scales
-        self.agenda = replay(plan, journal.records)
+    plan: Plan
+    presenter: Presenter
+    journal: Journal
+    _: KW_ONLY
+    stimuli: Mapping[str, Stimulus]
+    scales: Mapping[str, Scale]
+    keep: Keep | None = None
+    on_step: Callable[[Place], None] = lambda _: None
+
+    def __post_init__(self) -> None:
+        """Take up the session where the journal leaves it."""
+        plan, records = self.plan, self.journal.records
+        self.flow, self.agenda = plan.flow, replay(plan, records)
         self.trials = {trial.number: trial for trial in plan.trials}
         self.tasks = {task.protocol: task for task in plan.tasks}
-        self.detection = recall_detection(plan, journal.records)
+        self.detection = recall_detection(plan, records)
         self.matching = Matching(plan.matching, plan.trials) if plan.matching else None
-        self._keep, self._on_step = keep, on_step
         # Onsets are fixed from one trial to the next of a task; a page, a pause or an opening begins a new schedule.
         self._due_s: float | None = None
-        self._paced = ""
-        self._is_late = False
-        self._told: set[str] = set()
+        self._paced, self._is_late, self._told = "", False, set[str]()
 
     def take(self, event: events.SessionEvent) -> None:
         """Take an event of the journal: what comes next follows from it."""
@@ -170,7 +155,7 @@ class Session:
         aside = Page("ready") if is_back and isinstance(agenda.ask(), Trial) else None
         while True:
             place = Place(agenda.answered, agenda.total, given_up=agenda.given_up)
-            self._on_step(replace(place, fault=fault, notice=notice))
+            self.on_step(replace(place, fault=fault, notice=notice))
             notice = ""
             if (step := aside or agenda.ask()) is None:
                 break
@@ -199,9 +184,9 @@ class Session:
         """Show a page or a question until it is left, and record that."""
         if (question := find_question(self.plan.questions, page)) is not None:
             self._ask(question, place)
-            return
-        act = self._read_page(page, place)
-        self.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
+        else:
+            act = self._read_page(page, place)
+            self.journal.write(events.PageRead(page.key, act.time_s, act.response_time_s))
 
     def _read_page(self, page: Page, place: Place) -> ports.Confirm:
         while True:
@@ -229,12 +214,11 @@ class Session:
                 break
             parts = (question.describe_range(),) if fault == "out_of_range" else ()
             self.presenter.refuse(fault, parts)
-        sha256, personal = "", question.personal
-        if personal and self._keep:
-            sha256, value = self._keep(question.name, occasion, value), None
-        times = (act.time_s, act.response_time_s)
-        answered = events.QuestionAnswered(question.name, occasion, value, personal, *times, sha256)
-        self.journal.write(answered)
+        sha256 = ""
+        if question.personal and self.keep:
+            sha256, value = self.keep(question.name, occasion, value), None
+        told = (question.name, occasion, value, question.personal, act.time_s, act.response_time_s)
+        self.journal.write(events.QuestionAnswered(*told, sha256))
 
     # Trials.
 
@@ -262,9 +246,9 @@ class Session:
         scale = self.scales[trial.scale]
         scale = replace(scale, further=further) if further else scale
         while True:
-            attempt = _Attempt(self, trial, place.attempt)
+            attempt = _Attempt(trial, place.attempt, self)
             self.presenter.show_trial(trial, scale, place)
-            self.journal.write(events.TrialShown(*attempt.key))
+            attempt.write(events.TrialShown)
             if self._is_late:
                 self.presenter.refuse(TIMED_OUT, ())  # where no page may come between
             try:
@@ -273,10 +257,10 @@ class Session:
                 if not attempt.is_spoiled():
                     attempt.answer()
             except _Paused as pause:
-                self.journal.write(events.TrialPaused(*attempt.key, pause.args[0]))
+                attempt.write(events.TrialPaused, pause.args[0])
                 self._restart()
                 time_s = self._read_page(Page("pause"), place).time_s
-                self.journal.write(events.TrialContinued(*attempt.key, time_s))
+                attempt.write(events.TrialContinued, time_s)
             else:
                 return attempt
 
@@ -285,7 +269,7 @@ class Session:
         trial, task = attempt.trial, self.tasks.get(attempt.trial.protocol)
         due_s = self._due_s if trial.protocol == self._paced else None
         if due_s is not None:
-            self.journal.write(events.TrialScheduled(*attempt.key, due_s))
+            attempt.write(events.TrialScheduled, due_s)
         attempt.play(trial.parts, due_s=due_s)
         first = attempt.parts.get(trial.parts[0].name)
         if first is None or task is None or task.onset_s is None:
@@ -298,11 +282,17 @@ class Session:
 class _Attempt(events.Attempt):
     """One attempt at a trial, with the participant in front of it."""
 
-    def __init__(self, session: Session, trial: Trial, number: int) -> None:
+    def __init__(self, trial: Trial, number: int, session: Session) -> None:
         super().__init__(trial, number)
         self._session, self._presenter, self._flow = session, session.presenter, session.flow
-        self._write = session.journal.write
+        self._task = session.tasks.get(trial.protocol)
         self._time_s, self._marker = 0.0, MIDDLE
+
+    def write(self, kind: type[events.AttemptEvent], *told: Any) -> None:  # noqa: ANN401 - its fields
+        """Record an event of this attempt, and take it."""
+        event = kind(self.trial.number, self.number, *told)
+        self._session.journal.write(event)
+        self.follow(event)
 
     def play(self, parts: Iterable[Part], *, due_s: float | None = None) -> None:
         """Play the parts in order, until one is cut short."""
@@ -316,15 +306,11 @@ class _Attempt(events.Attempt):
                 stimulus = own.get(part.name) or self._session.stimuli[part.stimulus_id]
                 playback = self._presenter.play(part, stimulus, gap_s=gap_s, **due)
                 due = {}
-            felt: dict[str, Any] = {
-                one.name: getattr(playback, one.name) for one in fields(events.Played)
-            }
-            played = kind(*self.key, part.name, **felt)
-            self._write(played)
-            self.follow(played)
+            felt = (getattr(playback, one.name) for one in fields(events.Played))
+            self.write(kind, part.name, *felt)
             self._time_s = playback.requested_s if playback.onset_s is None else playback.onset_s
             _stop_or_pause(playback.act)
-            faults = events.find_faults(played, self._flow)
+            faults = events.find_faults(playback, self._flow)
             if not playback.completed or not events.UNANSWERABLE.isdisjoint(faults):
                 return
 
@@ -334,114 +320,96 @@ class _Attempt(events.Attempt):
         if session.detection and trial.protocol == THRESHOLD:
             block, shown = session.detection.block, session.detection.present(trial)
             frequency_hz = session.detection.find_frequency(trial)
-            what = (shown.interval, shown.level_db)
-            self._write(events.TonePresented(*self.key, frequency_hz, *what))
+            self.write(events.TonePresented, frequency_hz, shown.interval, shown.level_db)
             levels = dict.fromkeys(INTERVALS) | {INTERVALS[shown.interval - 1]: shown.level_db}
-            return block.gap_s, {
-                name: ports.Tone(frequency_hz, block.duration_s, level)
-                for name, level in levels.items()
-            }
-        gap_s = find_gap(trial, session.tasks.get(trial.protocol), self._flow)
+            tones = {k: ports.Tone(frequency_hz, block.duration_s, v) for k, v in levels.items()}
+            return block.gap_s, tones
+        gap_s = find_gap(trial, self._task, self._flow)
         if not session.matching or trial.protocol != MATCHING:
             return gap_s, {}
         offset_db = session.matching.find_offset(trial.number, self._marker)
+        gains = {part: (offset_db if part.name == SECOND else 0.0) for part in trial.parts}
         return gap_s, {
-            part.name: ports.Scaled(
-                session.stimuli[str(part.stimulus_id)],
-                (offset_db if part.name == SECOND else 0.0) - ATTENUATION_DB,
-            )
-            for part in trial.parts
+            part.name: ports.Scaled(session.stimuli[str(part.stimulus_id)], gain - ATTENUATION_DB)
+            for part, gain in gains.items()
         }
 
     def is_spoiled(self) -> bool:
         """Check whether the attempt can no longer be answered, and record its end if so."""
-        flags = self.list_flags(flow=self._flow)
+        flags = self.list_flags(self._flow)
         if events.UNANSWERABLE.isdisjoint(flags):
             return False
-        self._write(events.TrialSpoiled(*self.key, flags, self._time_s))
+        self.write(events.TrialSpoiled, flags, self._time_s)
         return True
 
     def answer(self) -> None:
         """Wait for the answer, or for another end of the attempt."""
-        task = self._session.tasks.get(self.trial.protocol)
-        limit_s = task.answer_timeout_s if task else None
+        limit_s = self._task.answer_timeout_s if self._task else None
         limit = {} if limit_s is None else {"limit_s": limit_s}
-        while True:
-            match act := self._presenter.wait(**limit):
-                case ports.Feel():
-                    self._replay(act)
-                    if self.is_spoiled():
-                        return
-                case ports.Move():
-                    self._move(act)
-                case ports.Confirm():
-                    if self._accept(act):
-                        return
-                case ports.TimedOut():
-                    flags = [*self.list_flags(flow=self._flow), TIMED_OUT]
-                    self._write(events.TrialSpoiled(*self.key, flags, act.time_s))
-                    return
-                case _:
-                    _stop_or_pause(act)
+        is_over = False
+        while not is_over:
+            act = self._presenter.wait(**limit)
+            reason, parts = self._find_refusal(act)
+            if reason:
+                self.write(events.ActRefused, reason, parts, act.time_s)
+                self._presenter.refuse(reason, tuple(parts))
+            else:
+                is_over = self._accept(act)
 
-    def _replay(self, act: ports.Feel) -> None:
-        parts = [part for part in self.trial.parts if act.part in {"", part.name}]
-        if self.trial.timing == "strict":
-            self._refuse(act, "no_replay")
-        elif not parts:
-            self._refuse(act, "unknown_part", [act.part])
-        else:
-            if not {part.name for part in parts} & set(self.list_unfelt()):
-                self._write(events.PartReplayed(*self.key, act.part, act.time_s))
-            self.play(parts)
-
-    def _move(self, act: ports.Move) -> None:
-        if act.part not in self.trial.judged or not self._find_valid({act.part: act.value}):
-            self._refuse(act, "unknown_part", [act.part])
-            return
-        moved = events.MarkerMoved(*self.key, act.part, float(act.value), act.time_s)
-        self._write(moved)
-        self.follow(moved)
-        self._marker = moved.value
-
-    def _accept(self, act: ports.Confirm) -> bool:
-        """Record the answer, unless something was not felt or not answered."""
-        valid = self._find_valid(act.values)
-        if unfelt := self.list_unfelt():
-            return self._refuse(act, "not_felt", unfelt)
-        if missing := [part for part in self.trial.judged if part not in valid]:
-            return self._refuse(act, "not_answered", missing)
-        flags = self.list_flags(response_time_s=act.response_time_s, flow=self._flow)
-        values = {part: act.values[part] for part in self.trial.judged}
-        rated = events.TrialRated(
-            *self.key,
-            values={k: v if isinstance(v, str) else float(v) for k, v in values.items()},
-            response_time_s=act.response_time_s,
-            time_s=act.time_s,
-            flags=flags,
-            rejected=not set(self._flow.reject).isdisjoint(flags),
-        )
-        self._write(rated)
-        return True
-
-    def _find_valid(self, values: Mapping[str, float | str]) -> set[str]:
+    def _find_refusal(self, act: ports.Act) -> tuple[str, list[str]]:
+        """Find why an act is not accepted, and the parts that this is about; nothing if it is."""
         choices, (low, high) = find_choices(self.trial.protocol), RATING_RANGE
-        return {
-            part
-            for part, value in values.items()
-            if (value in choices if choices else isinstance(value, Real) and low <= value <= high)
-        }
 
-    def _refuse(
-        self, act: ports.Feel | ports.Move | ports.Confirm, reason: str, parts: Iterable[str] = ()
-    ) -> bool:
-        names = list(parts)
-        self._write(events.ActRefused(*self.key, reason, names, act.time_s))
-        self._presenter.refuse(reason, tuple(names))
+        def is_answer(value: float | str | None) -> bool:
+            if choices:
+                return value in choices
+            return isinstance(value, Real) and low <= float(value) <= high
+
+        match act:
+            case ports.Feel() if self.trial.timing == "strict":
+                return "no_replay", []
+            case ports.Feel() if act.part not in {"", *(part.name for part in self.trial.parts)}:
+                return "unknown_part", [act.part]
+            case ports.Move() if act.part not in self.trial.judged or not is_answer(act.value):
+                return "unknown_part", [act.part]
+            case ports.Confirm():
+                if unfelt := self.list_unfelt():
+                    return "not_felt", unfelt
+                judged = self.trial.judged
+                missing = [part for part in judged if not is_answer(act.values.get(part))]
+                return "not_answered" if missing else "", missing
+        return "", []
+
+    def _accept(self, act: ports.Act) -> bool:
+        """Do what is asked; returns whether the attempt is over."""
+        match act:
+            case ports.Feel():
+                wanted = [part for part in self.trial.parts if act.part in {"", part.name}]
+                if not {part.name for part in wanted} & set(self.list_unfelt()):
+                    self.write(events.PartReplayed, act.part, act.time_s)
+                self.play(wanted)
+                return self.is_spoiled()
+            case ports.Move():
+                self._marker = float(act.value)
+                self.write(events.MarkerMoved, act.part, self._marker, act.time_s)
+            case ports.Confirm():
+                given = {part: act.values[part] for part in self.trial.judged}
+                values = {k: v if isinstance(v, str) else float(v) for k, v in given.items()}
+                flags = self.list_flags(self._flow, response_time_s=act.response_time_s)
+                rejected = not set(self._flow.reject).isdisjoint(flags)
+                times = (act.response_time_s, act.time_s)
+                self.write(events.TrialRated, values, *times, flags, rejected)
+                return True
+            case ports.TimedOut():
+                flags = [*self.list_flags(self._flow), TIMED_OUT]
+                self.write(events.TrialSpoiled, flags, act.time_s)
+                return True
+            case _:
+                _stop_or_pause(act)
         return False
 
 
-def _stop_or_pause(act: object) -> None:
+def _stop_or_pause(act: ports.Act | None) -> None:
     """End the attempt after a pause or an abort."""
     if isinstance(act, ports.Abort):
         raise Stopped(act.reason, act.time_s)

@@ -6,24 +6,23 @@ The name of an event stands here and nowhere else. A new event is a class here, 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
+from pydantic import TypeAdapter
+from pydantic_core import to_json
+
 from feel321.protocols.trial import DEVICE_FLAGS, FLAGS, LOST, MATCHING, SPOILED, VALID
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     from feel321.protocols.trial import Flow, Trial
 
 E = TypeVar("E", bound="SessionEvent")
 
-
 EVENTS: dict[str, type[SessionEvent]] = {}
-"""Name -> type of every event."""
 
 
 @dataclass_transform(frozen_default=True)
@@ -32,9 +31,10 @@ class SessionEvent:
     """Something that happened in a session; a subclass gives its name."""
 
     event: ClassVar[str] = ""
+    optional: ClassVar[frozenset[str]] = frozenset()
+    """Fields that a record leaves out where they are empty."""
 
-    def __init_subclass__(cls, event: str = "") -> None:
-        """Make a record of every subclass, and register those with a name."""
+    def __init_subclass__(cls, event: str = "") -> None:  # noqa: D105 - every subclass is a record
         dataclass(frozen=True)(cls)
         if event:
             cls.event = event
@@ -45,7 +45,8 @@ class SessionEvent:
         data: dict[str, Any] = {}
         for entry in fields(self):
             value = getattr(self, entry.name)
-            data |= value if entry.name == "identity" else {entry.name: value}
+            if value or entry.name not in self.optional:
+                data |= value if entry.name == "identity" else {entry.name: value}
         return data
 
 
@@ -65,22 +66,21 @@ class SessionBegun(SessionEvent, event="begun"):
 
     def __post_init__(self) -> None:
         """Refuse what would be no presenter, rig or certificate to whoever reads it."""
-        presenter = _check_object(self.identity, "presenter")
+
+        def check(entry: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+            value = entry.get(name)
+            if value is None or isinstance(value, dict):
+                return value or {}
+            raise ValueError(f"{name} must be an object, got {value!r}")
+
+        presenter = check(self.identity, "presenter")
         if presenter.get("simulated", False) not in {True, False}:
             raise ValueError(f"presenter.simulated must be true or false, got {presenter!r}")
-        _check_object(_check_object(presenter, "rig"), "sensor")
+        check(check(presenter, "rig"), "sensor")
         if not isinstance(self.identity.get("calibration"), str):
-            certificate = _check_object(self.identity, "calibration")
+            certificate = check(self.identity, "calibration")
             if certificate and not isinstance(certificate.get("id"), str):
                 raise ValueError(f"calibration must have a text as its id, got {certificate!r}")
-
-
-def _check_object(entry: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    """Return what stands under a name, which must be an object, or not there."""
-    value = entry.get(name)
-    if value is None or isinstance(value, dict):
-        return value or {}
-    raise ValueError(f"{name} must be an object, got {value!r}")
 
 
 class SessionResumed(SessionEvent, event="resumed"):
@@ -131,10 +131,7 @@ class PageRead(SessionEvent, event="page"):
 
 
 class QuestionAnswered(SessionEvent, event="answered"):
-    """A question page was answered; value: None where it was left open, occasion: from 1, where it is asked again.
-
-    personal: whether the value is personal data. sha256: salted digest of a value that is kept apart, in place of it.
-    """
+    """A question page was answered, or left open (None); sha256: salted digest of a value that is kept apart."""
 
     question: str
     occasion: int
@@ -143,10 +140,7 @@ class QuestionAnswered(SessionEvent, event="answered"):
     time_s: float
     stood_s: float
     sha256: str = ""
-
-    def to_data(self) -> dict[str, Any]:
-        """Return the fields; without the digest where the value itself is there."""
-        return {k: v for k, v in super().to_data().items() if v or k != "sha256"}
+    optional: ClassVar[frozenset[str]] = frozenset({"sha256"})
 
 
 class SessionFinished(SessionEvent, event="finished"):
@@ -219,10 +213,7 @@ class TrialScheduled(AttemptEvent, event="scheduled"):
 
 
 class TonePresented(AttemptEvent, event="tone"):
-    """A trial of the threshold block: the interval (1 or 2) that vibrates, and its level in dB re 1 m/s² RMS.
-
-    level_db: None in a catch trial, in which neither interval vibrates.
-    """
+    """A trial of the threshold block: the interval (1 or 2) that vibrates, and its level, dB re 1 m/s² RMS, if any."""
 
     frequency_hz: float
     interval: int
@@ -233,13 +224,10 @@ class TonePresented(AttemptEvent, event="tone"):
 class Played:
     """How a part was felt: what the device reports, the engine passes on and the journal keeps.
 
-    onset_s: None where it never began. underruns, clipped: times that the device ran dry within the samples, samples
-    that were limited. completed: it was felt to its end. error: the device's message, empty if all went well. measured:
-    by the device, such as its own time of the onset. dac_source: `device` where that time is its own, `latency` where
-    it is the time of the request and the latency. delivered: what the hand got, compared with what was asked
-    (`actuator.delivered`); with `coherence` if a sensor measured it, without if a certificate predicts it. fault: what
-    is wrong with the rig by this playback, with the coil named (`actuator.faults`). notice: the same where the hand got
-    what was asked all the same.
+    onset_s: None where it never began. underruns: times that the device ran dry within the samples. clipped: samples
+    that were limited. error: the device's message. dac_source: `device` where the onset is the device's own, `latency`
+    where it is an estimate. delivered: what the hand got (`actuator.delivered`), with `coherence` if a sensor measured
+    it. fault, notice: what is wrong with the rig (`actuator.faults`); a notice where the hand got what was asked.
     """
 
     requested_s: float
@@ -257,18 +245,15 @@ class Played:
 
     def __post_init__(self) -> None:
         """Take numbers of the many kinds that devices report, and none of those that are none."""
-        onset_s = self.onset_s
-        whole = {
-            "requested_s": float(self.requested_s),
-            "onset_s": float(onset_s) if onset_s is not None and isfinite(onset_s) else None,
-            "underruns": int(self.underruns),
-            "clipped": int(self.clipped),
-            "completed": bool(self.completed),
-            "measured": {k: float(v) for k, v in self.measured.items() if isfinite(v)},
-            "delivered": {k: float(v) for k, v in self.delivered.items() if isfinite(v)},
-        }
-        for name, value in whole.items():
-            object.__setattr__(self, name, value)
+        for one in fields(Played):
+            value = getattr(self, one.name)
+            if isinstance(value, Mapping):
+                value = {k: float(v) for k, v in value.items() if isfinite(v)}
+            elif one.name.endswith("_s"):
+                value = float(value) if value is not None and isfinite(value) else None
+            elif one.type in {"int", "bool"}:
+                value = bool(value) if one.type == "bool" else int(value)
+            object.__setattr__(self, one.name, value)
 
 
 class PartEvent(AttemptEvent):
@@ -278,12 +263,11 @@ class PartEvent(AttemptEvent):
 
 
 class PartPlayed(Played, PartEvent, event="played"):
-    """A stimulus was played; see `Playback`."""
+    """A stimulus was played."""
 
-    def to_data(self) -> dict[str, Any]:
-        """Return the fields; what only some devices give is left out where it is empty."""
-        optional = {"measured", "dac_source", "delivered", "delivered_sha256", "fault", "notice"}
-        return {k: v for k, v in super().to_data().items() if v or k not in optional}
+    optional: ClassVar[frozenset[str]] = frozenset({
+        "measured", "dac_source", "delivered", "delivered_sha256", "fault", "notice",
+    })  # fmt: skip
 
 
 class SurfaceStroked(PartPlayed, event="prompted"):
@@ -340,18 +324,11 @@ class TrialSpoiled(AttemptEvent, event="spoiled"):
     time_s: float
 
 
-REPAIRS = (ClockStepped, LineRecovered)
-"""May come anywhere in a journal."""
+REPAIRS = (ClockStepped, LineRecovered)  # may come anywhere in a journal
+OPENING = (*REPAIRS, NoteTaken, DeviceOpened, RigAccepted, SessionResumed)  # before anybody is back
+UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)  # nobody has done anything
 
-OPENING = (*REPAIRS, NoteTaken, DeviceOpened, RigAccepted, SessionResumed)
-"""May come before anybody has come back to work."""
-
-UNTOUCHED = (*OPENING, SessionBegun, SessionAborted, SessionSuperseded)
-"""May come in a journal in which nobody has done anything yet."""
-
-
-UNCALIBRATED = "uncalibrated"
-"""In a header, in place of the identity of a certificate, where the rig has no valid one."""
+UNCALIBRATED = "uncalibrated"  # in a header, in place of the identity of a valid certificate
 
 
 def find_kind(name: str) -> type[SessionEvent]:
@@ -361,10 +338,21 @@ def find_kind(name: str) -> type[SessionEvent]:
     return EVENTS[name]
 
 
+@cache
+def make_adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    """Make what checks that JSON holds a record of a type."""
+    return TypeAdapter(kind)
+
+
 def read_event(name: str, data: Mapping[str, Any]) -> SessionEvent:
     """Read the data of a record; fields of later versions are left out."""
+    kind: Any = find_kind(name)
+    if "identity" in kind.__match_args__:
+        own = {k: v for k, v in data.items() if k not in kind.__match_args__}
+        data = {**data, "identity": own}
     try:
-        event: SessionEvent = _make_reader(find_kind(name).event)(data)
+        # By JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
+        event: SessionEvent = make_adapter(kind).validate_json(to_json(data), strict=True)
     except (TypeError, ValueError) as error:
         reason = describe_fault(error)
         raise ValueError(f"is not a {name!r} record as feel321 writes it ({reason})") from None
@@ -378,29 +366,9 @@ def describe_fault(error: Exception) -> str:
     return [*faults, str(error)][0]
 
 
-@cache
-def _make_reader(name: str) -> Callable[[Mapping[str, Any]], Any]:
-    from pydantic import TypeAdapter
-    from pydantic_core import to_json
-
-    kind = EVENTS[name]
-    known = [entry.name for entry in fields(kind)]
-    validate = TypeAdapter(kind).validate_json
-
-    def read(data: Mapping[str, Any]) -> Any:  # noqa: ANN401 - an event of that kind
-        if "identity" in known:
-            data = {**data, "identity": {k: v for k, v in data.items() if k not in known}}
-        # JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
-        return validate(to_json(data), strict=True)
-
-    return read
-
-
 # What became of an attempt, and why: one model for the engine, the participant's page, status and analysis.
 
-
-TIMED_OUT = "timed_out"
-"""Flag of an attempt that was not answered in time, and key of the page that says so."""
+TIMED_OUT = "timed_out"  # flag of an attempt that was not answered in time, and key of a page
 
 UNANSWERABLE = frozenset({"device_error", "not_delivered", "not_felt"})
 """Flags with which an attempt is over: the device failed, or what is felt only once was cut short."""
@@ -420,15 +388,13 @@ def find_faults(played: Played, flow: Flow) -> dict[str, str]:
     faults = {
         "device_error": played.error,
         "not_delivered": played.fault or "; ".join(filter(None, [loss, loss and played.notice])),
-        "underrun": f"the device ran dry ({played.underruns} underruns): close other programs, switch off power "
-        "saving, or raise latency_s in rig.toml"
-        if played.underruns
-        else "",
-        "clipped": f"{played.clipped} samples were limited: lower the level, or raise the limit in rig.toml"
-        if played.clipped
-        else "",
+        "underrun": played.underruns
+        and f"the device ran dry ({played.underruns} underruns): close other programs, switch off power saving, or "
+        "raise latency_s in rig.toml",
+        "clipped": played.clipped
+        and f"{played.clipped} samples were limited: lower the level, or raise the limit in rig.toml",
     }
-    return {flag: words for flag, words in faults.items() if words}
+    return {flag: str(words) for flag, words in faults.items() if words}
 
 
 def find_notices(parts: Iterable[Played]) -> dict[str, list[str]]:
@@ -447,16 +413,8 @@ class Attempt:
     number: int
     parts: dict[str, PartPlayed] = field(default_factory=dict)
 
-    @property
-    def key(self) -> tuple[int, int]:
-        """Numbers of trial and attempt."""
-        return self.trial.number, self.number
-
     def follow(self, event: AttemptEvent) -> None:
-        """Take an event; a marker that changes how strong a part is makes that part unfelt.
-
-        What was felt to its end stays felt, though it be cut short when it is felt again.
-        """
+        """Take an event: what was felt to its end stays felt, unless a marker changes how strong it is."""
         match event:
             case PartPlayed():
                 before = self.parts.get(event.part)
@@ -470,14 +428,13 @@ class Attempt:
         felt = {part.part for part in self.parts.values() if part.completed and not part.error}
         return [part.name for part in self.trial.parts if part.name not in felt]
 
-    def list_flags(self, *, response_time_s: float | None = None, flow: Flow) -> list[str]:
+    def list_flags(self, flow: Flow, *, response_time_s: float | None = None) -> list[str]:
         """List what was wrong with the attempt, with its answer or without."""
         found = {flag for part in self.parts.values() for flag in find_faults(part, flow)}
-        is_open = response_time_s is None
-        if response_time_s is not None and response_time_s < flow.min_response_s:
+        if response_time_s is None:
+            found |= {"not_felt"} if self.trial.timing == "strict" and self.list_unfelt() else set()
+        elif response_time_s < flow.min_response_s:
             found.add("too_fast")
-        if is_open and self.trial.timing == "strict" and self.list_unfelt():
-            found.add("not_felt")
         return [flag for flag in FLAGS if flag in found]
 
     def describe_faults(self, flow: Flow) -> str:
@@ -494,22 +451,21 @@ def find_loss(delivered: Mapping[str, float], flow: Flow) -> str:
         return ""
     coherence, error_db = delivered["coherence"], delivered["level_error_db"]
     limit_db = flow.level_error_db if delivered["is_calibrated"] else None
-    sign = "weak" if error_db < 0 else "strong"
-    faults = {
-        "the sensor is silent, without even noise: check its cable, its power and its channel": (
-            not delivered["rms_m_s2"]
-        ),
-        f"the sensor shows no trace of the stimulus (coherence {coherence:.2f}, at least {flow.min_coherence:g}): "
-        "check that amplifier, coil and sensor are on, and on the channels and the device that rig.toml names": (
-            coherence < flow.min_coherence
-        ),
-        f"the stimulus was {abs(error_db):.1f} dB too {sign} (at most {limit_db} dB): check the amplifier's gain, the "
-        "coil and how the sensor is mounted, or calibrate again": (
-            limit_db is not None and abs(error_db) > limit_db
-        ),
-        "the motion is inverted: the wires of a coil or of the sensor were swapped since the calibration": (
-            # gains that were typed say nothing of it
-            bool(delivered["is_measured"]) and delivered["polarity"] < 0
-        ),
-    }
-    return next((fault for fault, is_so in faults.items() if is_so), "")
+    if not delivered["rms_m_s2"]:
+        return (
+            "the sensor is silent, without even noise: check its cable, its power and its channel"
+        )
+    if coherence < flow.min_coherence:
+        return (
+            f"the sensor shows no trace of the stimulus (coherence {coherence:.2f}, at least {flow.min_coherence:g}): "
+            "check that amplifier, coil and sensor are on, and on the channels and the device that rig.toml names"
+        )
+    if limit_db is not None and abs(error_db) > limit_db:
+        return (
+            f"the stimulus was {abs(error_db):.1f} dB too {'weak' if error_db < 0 else 'strong'} (at most {limit_db} "
+            "dB): check the amplifier's gain, the coil and how the sensor is mounted, or calibrate again"
+        )
+    # Gains that were typed say nothing of the polarity.
+    is_inverted = delivered["is_measured"] and delivered["polarity"] < 0
+    inverted = "the motion is inverted: the wires of a coil or of the sensor were swapped since the calibration"
+    return inverted if is_inverted else ""

@@ -1,13 +1,11 @@
 """The journal of a session: an append-only chain of records, one fsync per record, nothing ever overwritten.
 
-`create_journal` refuses a file that is there, `require_journal` refuses one that is not. A record is on the
-disk when `write` returns. A line that a crash or power cut left unfinished is moved into a file beside the journal
-and reported.
+A record is on the disk when `write` returns. A line that a crash or power cut left unfinished is moved into a file
+beside the journal and reported.
 
 A line is one JSON object: `sequence` (from 0), `previous` (SHA-256 of the line before, without its line end;
 64 zeros in the first line), `utc`, `event`, `data`, and last `sha256`, the digest of the line without that
-field. `previous` shows lines that were taken out, put in or moved; `sha256` shows a change in any line,
-the last one too.
+field. `previous` shows lines that were taken out, put in or moved; `sha256` a change in any line, the last one too.
 """
 
 import hashlib
@@ -19,6 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property, lru_cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,7 @@ from feel321.study.session.events import SessionEvent
 
 Clock = Callable[[], datetime]
 
-START = "0" * 64
-"""Stands in the first line for the digest of the line before."""
+START = "0" * 64  # in the first line, for the digest of the line before
 
 PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 """Allowed codes of participants: they name folders."""
@@ -39,6 +37,7 @@ PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
 SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")
 """Names of the journals in a participant's folder; copies under other names are none."""
 
+_APPEND = os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0)
 _FIELDS = {"sequence": int, "previous": str, "utc": str, "event": str, "data": dict}
 
 
@@ -95,13 +94,8 @@ class Chain:
 
 def write_line(record: Record, previous: str) -> bytes:
     """Write a record as the line that follows another."""
-    entry = {
-        "sequence": record.sequence,
-        "previous": previous,
-        "utc": record.utc,
-        "event": record.event,
-        "data": record.data,
-    }
+    own = {"utc": record.utc, "event": record.event, "data": record.data}
+    entry = {"sequence": record.sequence, "previous": previous, **own}
     body = json.dumps(entry, ensure_ascii=False, allow_nan=False)
     return f'{body[:-1]}, "sha256": "{digest(body)}"}}\n'.encode()
 
@@ -147,9 +141,6 @@ def _read_line(line: bytes, previous: str, *, sequence: int) -> Record:
     return Record(entry["sequence"], entry["utc"], entry["event"], entry["data"])
 
 
-_APPEND = os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0)
-
-
 @dataclass(slots=True)
 class Journal:
     """A journal open for writing; hold the session's lock while it is.
@@ -166,56 +157,47 @@ class Journal:
     is_open: bool = True
     listeners: list[Callable[[Record], None]] = field(default_factory=list)
 
-    def write(self, event: SessionEvent | str, data: Mapping[str, Any] | None = None) -> None:
-        """Append one record, an event or any name with its data; it is on the disk when this returns.
+    def write(self, event: SessionEvent) -> None:
+        """Append one record; it is on the disk when this returns.
 
         If the time of day was set back since the last record, a record before it says by how much. Whatever breaks off
         a write closes the journal, for the file may hold all of the line, some or none: only reading it again shows
         where the chain goes on.
         """
         utc = self.now().isoformat(timespec="milliseconds")
+        written = [event]
         if self.records:
             last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
-            if (back_s := (last - this).total_seconds()) > 0:
-                self._append(utc, events.ClockStepped(back_s))
-        self._append(utc, event, data)
+            back_s = (last - this).total_seconds()
+            written = [events.ClockStepped(back_s), event] if back_s > 0 else written
+        for one in written:
+            self._append(Record(len(self.records), utc, one.event, one.to_data()))
 
-    def _append(
-        self, utc: str, event: SessionEvent | str, data: Mapping[str, Any] | None = None
-    ) -> None:
+    def _append(self, record: Record) -> None:
         if not self.is_open:
             raise OSError(
                 f"{self.path}: an earlier write was broken off, the journal is closed; reopen it to resume"
             )
-        name = event if isinstance(event, str) else event.event
-        data = data or {} if isinstance(event, str) else event.to_data()
-        record = Record(len(self.records), utc, name, data)
-        line = write_line(record, self.tip)
-        self.is_open = False
+        line, self.is_open = write_line(record, self.tip), False
         with _naming(self.path):
-            written = self._write_through(line)
+            descriptor = os.open(self.path, _APPEND)
+            try:
+                before = os.fstat(descriptor).st_size
+                written = os.write(descriptor, line)
+                if written != len(line):
+                    # A full disk takes the beginning of a line and says so by a short count only.
+                    os.ftruncate(descriptor, before)
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
         if written != len(line):
             raise OSError(
                 f"{self.path}: the disk took {written} of {len(line)} bytes; make room, then resume"
             )
         self.records.append(record)
-        self.tip = digest(line.rstrip(b"\n"))
-        self.is_open = True
+        self.tip, self.is_open = digest(line.rstrip(b"\n")), True
         for listen in self.listeners:
             listen(record)
-
-    def _write_through(self, line: bytes) -> int:
-        descriptor = os.open(self.path, _APPEND)
-        try:
-            before = os.fstat(descriptor).st_size
-            written = os.write(descriptor, line)
-            if written != len(line):
-                # A full disk takes the beginning of a line and says so by a short count only.
-                os.ftruncate(descriptor, before)
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-        return written
 
 
 def utc_now() -> datetime:
@@ -237,12 +219,17 @@ def require_journal(path: Path, *, now: Clock) -> Journal:
     chain = read_journal(path)
     journal = Journal(path, now, Records(chain.records), tip=chain.tip)
     if chain.torn:
+        names = (path.with_name(f"{path.name}.torn{number}") for number in count(1))
+        piece = next(name for name in names if not name.exists())
         with _naming(path):
-            torn = _cut_torn_line(path, chain.torn)
-        journal.write(events.LineRecovered(len(chain.torn), torn.name))
-        journal.notice = (
-            f"{path}: {len(chain.torn)} bytes of an unfinished line were moved to {torn.name}"
-        )
+            # The piece is safe beside the journal before the journal loses it.
+            write_bytes(piece, chain.torn, private=True)
+            with path.open("r+b") as file:
+                file.truncate(path.stat().st_size - len(chain.torn))
+                os.fsync(file.fileno())
+        size = len(chain.torn)
+        journal.write(events.LineRecovered(size, piece.name))
+        journal.notice = f"{path}: {size} bytes of an unfinished line were moved to {piece.name}"
     return journal
 
 
@@ -273,21 +260,6 @@ def _naming(path: Path) -> Iterator[None]:
         raise OSError(
             f"{path}: the disk took no record ({error.strerror or error}); make room or repair the disk, then resume"
         ) from error
-
-
-def _cut_torn_line(path: Path, torn: bytes) -> Path:
-    number = 1
-    while (target := path.with_name(f"{path.name}.torn{number}")).exists():
-        number += 1
-    # The piece is safe beside the journal before the journal loses it.
-    write_bytes(target, torn, private=True)
-    with path.open("r+b") as file:
-        file.truncate(path.stat().st_size - len(torn))
-        os.fsync(file.fileno())
-    return target
-
-
-# What was last seen of a journal.
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     from feel321.study.session.journal import Clock, Journal
 
-JOURNAL_FORMAT = 1
-"""Format of the journal; its header says which one it has."""
+JOURNAL_FORMAT = 1  # in the header of a journal
 
 FROZEN_FILE = "frozen.json"
 """What was decided before the ratings, in the study's folder (`feel321 freeze`)."""
@@ -36,6 +35,9 @@ UNCOMPARED = ("format", "session", "versions", "system", "clock", "frozen")
 
 ACCEPTABLE = ("presenter.rig", "calibration")
 """May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
+
+_OPENING = {kind.event for kind in events.OPENING}
+_UNTOUCHED = {kind.event for kind in events.UNTOUCHED}
 
 
 def identify_frozen(folder: Path) -> dict[str, str]:
@@ -59,8 +61,8 @@ def open_session(
     """Begin or resume the session of one participant, and keep everybody else from writing to it.
 
     plan: the plan that today's settings give; the stored one must be the same. identity: what must not change within
-    the session besides the plan, as JSON can hold it: locale, rig, calibration, and the kind of presenter. Yields the
-    plan as it is stored, and the journal with a header and all that was done before.
+    the session besides the plan: locale, rig, calibration, and the kind of presenter. Yields the plan as it is stored,
+    and the journal with a header and all that was done before.
 
     A session that was begun with another plan, stimulus set or presenter is refused with what differs; another
     presenter may take over where nobody has done anything yet, in a journal of its own. With accept_rig, another rig or
@@ -71,7 +73,7 @@ def open_session(
         if (folder / TOMBSTONE_FILE).exists():
             raise ValueError(f"{folder}: {folder.name} was withdrawn; take another code")
         stored = _require_same(folder, plan)
-        yield stored, _Opening(folder, stored, dict(identity), now, stale).open(accept_rig)
+        yield stored, _Opening(folder, stored, dict(identity), now).open(stale, accept_rig)
 
 
 def _require_same(folder: Path, plan: Plan) -> Plan:
@@ -106,51 +108,62 @@ class _Opening:
     plan: Plan
     identity: dict[str, Any]
     now: Clock
-    stale: Stale
 
-    def open(self, accept_rig: bool) -> Journal:  # noqa: FBT001 - called once
+    def open(self, stale: Stale, accept_rig: bool) -> Journal:  # noqa: FBT001 - called once
         """Open the newest journal, or begin the next one."""
         files = journals.list_journals(self.folder)
         if not files:
-            return self._begin()
+            return self._begin(1)
         journal = journals.require_journal(files[-1], now=self.now)
         records = journal.records
         if records.has(events.SessionReleased):
             raise ValueError(
                 f"{journal.path}: {self.folder.name} was released, the place in the design is free; take another code"
             )
-        begun = records.find_header()
-        if begun is None:
-            journal.write(self._make_header(journal))
+        if (begun := records.find_header()) is None:
+            journal.write(self._make_header(journal, len(files)))
             return journal
-        if self._is_taken_over(journal, begun, accept_rig=accept_rig):
-            return self._supersede(
-                journal
-            )  # Another rig, say, does no harm: nobody has done anything yet.
-        if records.has(events.SessionFinished):
-            return journal
-        is_stale = self._is_stale(records)
-        if records.has(events.SessionSuperseded) or (is_stale and self.stale.policy == "restart"):
-            return self._supersede(journal)
-        journal.write(events.SessionResumed(*_describe_opening(journal)))
-        if is_stale and self.stale.policy == "warm_up":
-            journal.write(events.WarmUpBegun())
+        # An opening that was itself broken off leaves fresh records of an old session.
+        last = next(record for record in reversed(records) if record.event not in _OPENING)
+        away = self.now() - datetime.fromisoformat(last.utc)
+        is_stale = stale.after_h is not None and away > timedelta(hours=stale.after_h)
+        is_over = records.has(events.SessionFinished)
+        is_left = records.has(events.SessionSuperseded) or (is_stale and stale.policy == "restart")
+        if self._is_taken_over(journal, begun, accept_rig=accept_rig) or (is_left and not is_over):
+            # After a crash in between, the second step alone is due.
+            if not records.has(events.SessionSuperseded):
+                journal.write(events.SessionSuperseded(len(files) + 1))
+            return self._begin(len(files) + 1)
+        if not is_over:
+            journal.write(events.SessionResumed(*_describe_opening(journal)))
+            if is_stale and stale.policy == "warm_up":
+                journal.write(events.WarmUpBegun())
         return journal
+
+    def _begin(self, number: int) -> Journal:
+        journal = journals.create_journal(self.folder / journals.name_journal(number), now=self.now)
+        journal.write(self._make_header(journal, number))
+        return journal
+
+    def _make_header(self, journal: Journal, session: int) -> events.SessionBegun:
+        plan = self.plan
+        planned = (plan.participant, plan.sha256, plan.stimuli_sha256, plan.seed)
+        own = (JOURNAL_FORMAT, *planned, self.identity, session)
+        return events.SessionBegun(*own, *_describe_opening(journal))
 
     def _is_taken_over(
         self, journal: Journal, begun: events.SessionBegun, *, accept_rig: bool
     ) -> bool:
         """Compare the header with today's: refuse what differs, record what is accepted; else a new journal is due."""
-        left, header = begun.to_data(), self._make_header(journal).to_data()
+        left, header = begun.to_data(), self._make_header(journal, 0).to_data()
         for event in journal.records.find(events.RigAccepted):
             presenter = left.get("presenter", {}) | {"rig": event.rig}
             left |= {"presenter": presenter, "calibration": event.calibration}
         if not (differences := find_differences(left, header, ignore=UNCOMPARED)):
             return False
         names = {line.partition(" ")[0] for line in differences}
-        untouched = {kind.event for kind in events.UNTOUCHED}
-        if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= untouched:
-            return True
+        if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= _UNTOUCHED:
+            return True  # Another rig, say, does no harm: nobody has done anything yet.
         is_rig = all(name.startswith(ACCEPTABLE) for name in names)
         if not (is_rig and accept_rig):
             raise ValueError(_describe_refusal(journal.path, begun, differences, is_rig=is_rig))
@@ -158,34 +171,6 @@ class _Opening:
             rig = header.get("presenter", {}).get("rig")
             journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
         return False
-
-    def _make_header(self, journal: Journal) -> events.SessionBegun:
-        plan, session = self.plan, len(journals.list_journals(self.folder))
-        planned = (plan.participant, plan.sha256, plan.stimuli_sha256, plan.seed)
-        own = (JOURNAL_FORMAT, *planned, self.identity, session)
-        return events.SessionBegun(*own, *_describe_opening(journal))
-
-    def _begin(self) -> Journal:
-        number = len(journals.list_journals(self.folder)) + 1
-        journal = journals.create_journal(self.folder / journals.name_journal(number), now=self.now)
-        journal.write(self._make_header(journal))
-        return journal
-
-    def _supersede(self, journal: Journal) -> Journal:
-        """Leave a session as it is and begin the next one; after a crash in between, the second step alone is due."""
-        if not journal.records.has(events.SessionSuperseded):
-            number = len(journals.list_journals(self.folder)) + 1
-            journal.write(events.SessionSuperseded(number))
-        return self._begin()
-
-    def _is_stale(self, records: journals.Records) -> bool:
-        if self.stale.after_h is None:
-            return False
-        # An opening that was itself broken off leaves fresh records of an old session.
-        opening = {kind.event for kind in events.OPENING}
-        last = next(record for record in reversed(records) if record.event not in opening)
-        away = self.now() - datetime.fromisoformat(last.utc)
-        return away > timedelta(hours=self.stale.after_h)
 
 
 def _describe_opening(journal: Journal) -> tuple[dict[str, str], str, dict[str, float]]:
@@ -199,10 +184,8 @@ def _describe_refusal(
     path: Path, begun: events.SessionBegun, differences: list[str], *, is_rig: bool
 ) -> str:
     """Say why a session cannot be resumed, and what to do."""
-    named = [
-        "other texts for participants" if line.startswith("texts_sha256 ") else line
-        for line in differences
-    ]
+    texts = "other texts for participants"
+    named = [texts if line.startswith("texts_sha256 ") else line for line in differences]
     former, own = begun.versions.get("feel321"), version("feel321")
     use = "" if former == own else f" or use feel321 {former}, which began it"
     accept = "go on with the rig as it is now (--accept-rig, which records it), " if is_rig else ""

@@ -12,36 +12,21 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
-from functools import cache, lru_cache
+from dataclasses import asdict, dataclass, field, fields, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from pydantic_core import from_json, to_json
 
 from feel321.files import create_text
 from feel321.protocols import order as orders
+from feel321.protocols import threshold as blocks
+from feel321.protocols import trial as trials_of
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.tasks import digest_protocols, is_as_expected
 from feel321.protocols.texts import PREFIX, Question
-from feel321.protocols.threshold import (
-    Detection,
-    MatchingBlock,
-    ThresholdBlock,
-    draw_block,
-    draw_matching,
-    make_block,
-)
-from feel321.protocols.trial import (
-    THRESHOLD,
-    VALID,
-    Flow,
-    Item,
-    Task,
-    Trial,
-    Trials,
-    place_in_groups,
-    select_group,
-)
+from feel321.protocols.threshold import Detection, MatchingBlock, ThresholdBlock
+from feel321.protocols.trial import THRESHOLD, VALID, Flow, Item, Task, Trial, Trials
 from feel321.stimuli.sets.manifest import find_methods
 from feel321.study.admission import require_protocols
 from feel321.study.session import events
@@ -52,21 +37,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from pandas import DataFrame
-    from pydantic import TypeAdapter
 
     from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 
-
-FORMAT = 2
-"""Format of the stored plan; a file says which one it has."""
+FORMAT = 2  # of the stored plan, which says so
 
 PLAN_FILE = "plan.json"
 TOMBSTONE_FILE = "withdrawn.json"
 
-_SEAL = b',\n "sha256": "'
+POLICIES = ("warm_up", "continue", "restart")
+"""Ways to resume a session after a long break: practice first, go on at once, or begin anew beside it."""
 
-LEAST_LETTERS = 6
-"""Letters of a blind code; more where two codes would be the same."""
+_SEAL = b',\n "sha256": "'
 
 
 def list_codes(stimuli: StimulusSet, *, seed: int) -> dict[str, str]:
@@ -75,7 +57,7 @@ def list_codes(stimuli: StimulusSet, *, seed: int) -> dict[str, str]:
     names = [row.stimulus_id for row in stimuli.stimuli]
     digests = {name: hashlib.sha256(f"{key}\n{name}".encode()).digest() for name in names}
     whole = {name: base64.b32encode(digest).decode() for name, digest in digests.items()}
-    letters = LEAST_LETTERS
+    letters = 6  # more where two codes would be the same
     while len({text[:letters] for text in whole.values()}) < len(whole):
         letters += 1
     return {name: text[:letters] for name, text in whole.items()}
@@ -85,10 +67,6 @@ def list_by_code(stimuli: StimulusSet, *, seed: int) -> dict[str, Stimulus]:
     """List the stimuli of a study by blind code."""
     codes = list_codes(stimuli, seed=seed)
     return {codes[row.stimulus_id]: row for row in stimuli.stimuli}
-
-
-POLICIES = ("warm_up", "continue", "restart")
-"""Ways to resume a session after a long break: practice first, go on at once, or begin anew beside it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,18 +134,6 @@ class Plan:
         return f"Plan(participant={self.participant!r}, number={self.number}, {len(self.trials)} trials)"
 
 
-@dataclass(frozen=True, slots=True)
-class Course:
-    """The trials and questions of a participant, and the groups and tasks that they follow from."""
-
-    groups: Mapping[str, str]
-    tasks: tuple[Task, ...]
-    trials: tuple[Trial, ...]
-    threshold: ThresholdBlock | None
-    matching: MatchingBlock | None
-    questions: tuple[Question, ...] = ()
-
-
 def make_plan(
     design: Design, stimuli: StimulusSet, participant: str, *, number: int, simulated: bool
 ) -> Plan:
@@ -176,38 +142,23 @@ def make_plan(
         raise ValueError(f"participant must be letters, digits, - and _, got {participant!r}")
     by_code = list_by_code(stimuli, seed=design.seed).items()
     items = [Item(code, row.recording, row.reducer, row.level, row.role) for code, row in by_code]
-    own = make_trials(design, items, number=number)
-    decided: dict[str, Any] = {
-        one.name: getattr(entry, one.name) for entry in (design, own) for one in fields(entry)
-    }
-    return Plan(
-        participant=participant,
-        number=number,
-        simulated=simulated,
-        stimuli_sha256=stimuli.sha256,
-        methods=find_methods(stimuli.folder)
-        | digest_protocols(task.protocol for task in own.tasks),
-        **decided,
-    )
+    plan = make_trials(design, items, number=number)
+    methods = find_methods(stimuli.folder) | digest_protocols(task.protocol for task in plan.tasks)
+    plan = replace(plan, participant=participant, simulated=simulated, methods=methods)
+    return replace(plan, stimuli_sha256=stimuli.sha256)
 
 
-def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Course:
-    """Make the trials of participant `number` (from 1)."""
+def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Plan:
+    """Make the trials of participant `number` (from 1): a plan of nobody."""
     import numpy as np
 
     seed = design.seed
-    groups, place = place_in_groups(design.between, number)
-    items, tasks = select_group(stimuli, design.tasks, groups)
+    groups, place = trials_of.place_in_groups(design.between, number)
+    items, tasks = trials_of.select_group(stimuli, design.tasks, groups)
     count = design.recordings_per_participant
     items = orders.select_share(items, count, number=place, seed=seed)
-    main = orders.make_order(
-        items,
-        tasks,
-        number=place,
-        repeats=design.repeats,
-        order=design.order,
-        rng=np.random.default_rng(seed),
-    )
+    repeats, order, rng = design.repeats, design.order, np.random.default_rng(seed)
+    main = orders.make_order(items, tasks, number=place, repeats=repeats, order=order, rng=rng)
     # Rehearsal is the participant's own; it may not move the orders, which balance over participants.
     own = np.random.default_rng([seed, number])
     rehearsal = orders.make_rehearsal(items, tasks, first_number=len(main) + 1, rng=own)
@@ -216,11 +167,14 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Cour
         main = orders.arrange_sections(main, tasks)
     trials, block = [*main, *rehearsal], design.threshold
     if block:
-        block = draw_block(block, seed=seed, number=number)
-        trials += make_block(block, first_number=len(trials) + 1)
-    key = [seed, number, len(trials)]
-    matching, last = draw_matching(design.matching, items, first_number=len(trials) + 1, key=key)
-    return Course(groups, tasks, (*trials, *last), block, matching, design.questions)
+        block = blocks.draw_block(block, seed=seed, number=number)
+        trials += blocks.make_block(block, first_number=len(trials) + 1)
+    first, key = len(trials) + 1, [seed, number, len(trials)]
+    matching, last = blocks.draw_matching(design.matching, items, first_number=first, key=key)
+    decided: dict[str, Any] = {one.name: getattr(design, one.name) for one in fields(design)}
+    decided |= {"tasks": tasks, "threshold": block, "matching": matching, "groups": groups}
+    decided |= {"trials": (*trials, *last), "simulated": False, "stimuli_sha256": ""}
+    return Plan("", number, **decided)
 
 
 # The stored plan.
@@ -253,19 +207,13 @@ def _read_plan(content: bytes, path: Path) -> Plan:
         stored = entry.pop("format", None)
         entry |= {} if stored == FORMAT else {f"format {stored}, not {FORMAT}": stored}
         text = to_json({**entry, "sha256": journals.digest(body)})
-        return _make_adapter().validate_json(text, strict=True, extra="forbid")
+        plan: Plan = events.make_adapter(Plan).validate_json(text, strict=True, extra="forbid")
     except (ValueError, AttributeError, RecursionError) as error:
         reason = events.describe_fault(error)
         raise ValueError(
             f"{path}: not a plan as this version writes it ({reason}); use the feel321 that wrote it"
         ) from None
-
-
-@cache
-def _make_adapter() -> TypeAdapter[Plan]:
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(Plan)
+    return plan
 
 
 def _seal(body: bytes) -> bytes:
@@ -317,21 +265,25 @@ def read_as_written(path: Path) -> Iterator[None]:
     """Name the file of a record that feel321 does not write, though its digests are right."""
     try:
         yield
+    except (AttributeError, KeyError, TypeError, RecursionError) as error:
+        words = f"{path}: holds what feel321 does not write ({type(error).__name__}: {error})"
+        raise ValueError(f"{words}; restore the file from a copy") from None
     except ValueError as error:
         if not str(error).startswith("line "):
             raise
         raise ValueError(f"{path}, {error}; restore the file from a copy") from None
-    except (AttributeError, KeyError, TypeError, RecursionError) as error:
-        raise ValueError(
-            f"{path}: holds what feel321 does not write ({type(error).__name__}: {error}); restore the file from a copy"
-        ) from None
 
 
 # A session by its records.
 
-STEPS = (
-    events.PageRead, events.QuestionAnswered, events.TrialRated, events.TrialSpoiled, events.WarmUpBegun,
-)  # fmt: skip
+_STEPS = (
+    events.PageRead,
+    events.QuestionAnswered,
+    events.TrialRated,
+    events.TrialSpoiled,
+    events.WarmUpBegun,
+)
+STEPS = {kind.event for kind in _STEPS}
 """Events that change what comes next."""
 
 
@@ -339,9 +291,8 @@ def replay(plan: Plan, records: Iterable[Record]) -> Agenda:
     """Make the agenda of a session as its journal leaves it."""
     agenda = Agenda(plan.trials, plan.flow, plan.questions)
     trials = {trial.number: trial for trial in plan.trials}
-    names = {kind.event for kind in STEPS}
     for record in records:
-        if record.event in names:
+        if record.event in STEPS:
             event = record.content
             try:
                 advance(agenda, event, trials)
@@ -375,9 +326,8 @@ def advance(
             agenda.tell_page(event.key, time_s=event.time_s)
         case events.QuestionAnswered():
             agenda.tell_page(f"{PREFIX}{event.question}", time_s=event.time_s)
-        case events.TrialRated(values=answer) if event.trial in trials:
-            outcome, trial = events.judge(event, agenda.flow), trials[event.trial]
-            as_expected = is_as_expected(trial, answer)
+        case events.TrialRated(values=answer) if trial := trials.get(event.trial):
+            outcome, as_expected = events.judge(event, agenda.flow), is_as_expected(trial, answer)
             agenda.tell_trial(event.trial, outcome, as_expected=as_expected, time_s=event.time_s)
             if detection and outcome == VALID:
                 detection.tell(trial, answer)

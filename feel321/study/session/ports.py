@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
 from feel321.protocols.threshold import name_tone
 from feel321.study.session.events import Played
@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import Stimulus
 
 
-@dataclass(frozen=True, slots=True)
-class Surface:
+class Surface(NamedTuple):
     """The real surface that a recording was taken from."""
 
     sample: str | None
@@ -32,10 +31,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class Tone:
-    """A vibration of one frequency; level_db: RMS at the hand, in dB re 1 m/s², None for silence as long.
-
-    duration_s includes the ramps.
-    """
+    """A vibration of one frequency, ramps included; level_db: RMS at the hand, dB re 1 m/s², None for silence."""
 
     frequency_hz: float
     duration_s: float
@@ -75,6 +71,9 @@ class Scaled:
         return float(10 ** (self.gain_db / 20))
 
 
+Felt: TypeAlias = "Stimulus | Tone | Scaled"
+
+
 @dataclass(frozen=True)
 class Playback(Played):
     """The playback of a stimulus, or a stroke over the real surface; act: by which the participant cut it short."""
@@ -103,8 +102,8 @@ class Move:
 class Confirm:
     """The participant is done with a page, a question or a trial.
 
-    values: by `Trial.judged`, points or the part that was chosen; by the name of a question, none if it was left open;
-    empty for a page. response_time_s: since the answer became possible, or since the page appeared.
+    values: by `Trial.judged`, or by the name of a question that was answered; empty for a page. response_time_s: since
+    the answer became possible, or since the page appeared.
     """
 
     time_s: float
@@ -135,7 +134,6 @@ class TimedOut:
 
 
 Act = Feel | Move | Confirm | Pause | Abort | TimedOut
-"""What a participant does, as a presenter reports it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,12 +171,7 @@ class Presenter(Protocol):
         """Show a trial, all markers unset; the scale's `further` holds others that the trial asks for."""
 
     def play(
-        self,
-        part: Part,
-        stimulus: Stimulus | Tone | Scaled,
-        *,
-        gap_s: float,
-        due_s: float | None = None,
+        self, part: Part, stimulus: Felt, *, gap_s: float, due_s: float | None = None
     ) -> Playback:
         """Play a stimulus after a silence, to its end or until the participant stops it; not before it is due."""
 

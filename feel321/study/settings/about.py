@@ -41,9 +41,6 @@ class ObserverTable(kinds.TomlTable):
     detection_sd: kinds.NotNegative = 4.0
     detection_slope: kinds.Positive = 3.0
     matching_sd: kinds.NotNegative = 1.0
-    order: kinds.Finite = 0.0
-    fatigue: kinds.Finite = 0.0
-    fatigue_noise: kinds.NotNegative = 0.0
     straight_liners: kinds.Share = 0.0
     random_clickers: kinds.Share = 0.0
     scale_reversers: kinds.Share = 0.0

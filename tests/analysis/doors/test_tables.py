@@ -57,10 +57,9 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     ),
     "fit_primary": lambda table: analysis.fit_primary(table, METRICS).slopes,
     "profile_reducers": compare.profile_reducers,
-    "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, draws=10, rng=make_rng()),
+    "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, rng=make_rng()),
     "rater_model": analysis.rater_model,
     "screen_raters": lambda table: analysis.screen_raters(table).table,
-    "tabulate_correlations": lambda table: analysis.tabulate_correlations(table, METRICS, draws=10),
 }
 
 POOLED = ["compare_metrics", "compare_reducers", "correlate", "fit_primary"]

@@ -293,10 +293,10 @@ def test_designs_and_truths_that_cannot_be_are_refused(make_scenario: Make) -> N
         (given.design, {"repeats": 0}, "repeats must be 1 or more"),
         (given.design, {"metrics": ("spectral", "none")}, "column none is missing"),
         (given.design, {"items": items.iloc[[0, 0]]}, "once more"),
-        (given.design, {"items": items.assign(spectral=np.nan)}, "36 stimuli"),
+        (given.design, {"items": items.assign(spectral=np.nan)}, "36 without"),
         (given.design, {"wanted": 1.0}, "wanted"),
         (given.truth, {"item_sd": -1.0}, "item_sd must be 0 or more"),
-        (given.truth, {"lapse_rate": 2.0}, "lapse_rate must be from 0 to 1"),
+        (given.truth, {"lapse_rate": 2.0}, "lapse_rate.* must be from 0 to 1"),
         (given.truth, {"random_clickers": 0.6, "straight_liners": 0.6}, "at most 1 together"),
     ):
         with pytest.raises(ValueError, match=why):

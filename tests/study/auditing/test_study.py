@@ -14,6 +14,7 @@ from feel321.study.auditing.journals import audit_journals
 from feel321.study.auditing.study import audit_study, examine
 from feel321.study.folder import StudyFolder
 from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.session import events
 from feel321.study.session.journal import (
     START,
     create_journal,
@@ -225,10 +226,11 @@ def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) ->
     assert audit_study(copy) == []
     path.unlink()
     journal = create_journal(path, now=utc_now)
-    for event in ("recovered", "clock_stepped", "released"):
-        journal.write(event, {})
+    own = (events.LineRecovered(1, "a"), events.ClockStepped(1.0), events.SessionReleased())
+    for event in own:
+        journal.write(event)
         assert audit_study(copy) == []
-    journal.write("finished", {})
+    journal.write(events.SessionFinished(0, 0))
     assert find_only(copy) == f"{path}: has no header"
 
 

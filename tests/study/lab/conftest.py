@@ -55,7 +55,6 @@ gap_s = 0.05
 policy = "continue"
 {threshold}
 [observer]
-order = 0.1
 noise_sd = 20.0
 [analysis]
 draws = 100

@@ -22,16 +22,14 @@ def draw_many(model: ObserverModel, n: int = 2000) -> list[Rater]:
     return [draw_rater(model, np.random.default_rng([7, number])) for number in range(n)]
 
 
-def rate_many(
-    rater: Rater, percept: float, *, n: int = 4000, shift: float = 0.0, growth: float = 1.0
-) -> np.ndarray:
+def rate_many(rater: Rater, percept: float, *, n: int = 4000) -> np.ndarray:
     rng = np.random.default_rng(3)
-    return np.array([rater.rate(percept, shift=shift, growth=growth, rng=rng) for _ in range(n)])
+    return np.array([rater.rate(percept, rng) for _ in range(n)])
 
 
 def share_correct(rater: Rater, distance: float, *, n: int = 20_000) -> float:
     rng = np.random.default_rng(11)
-    chosen = [rater.choose({"a": distance, "b": 0.0}, growth=1.0, rng=rng) for _ in range(n)]
+    chosen = [rater.choose({"a": distance, "b": 0.0}, rng) for _ in range(n)]
     return chosen.count("b") / n
 
 
@@ -56,7 +54,7 @@ def test_bad_raters_come_in_the_shares_that_were_asked_for() -> None:
 
 def test_what_is_out_of_range_is_refused() -> None:
     shares = ["lapse_rate", "straight_liners", "random_clickers", "scale_reversers"]
-    sizes = ["bias_sd", "gain_sd", "noise_sd", "noise_spread", "fatigue_noise"]
+    sizes = ["bias_sd", "gain_sd", "noise_sd", "noise_spread"]
     wrong = [(name, -0.1) for name in shares + sizes] + [(name, 1.1) for name in shares]
     for name, value in [*wrong, *((name, float("nan")) for name in shares + sizes)]:
         with pytest.raises(ValueError, match=name):
@@ -67,18 +65,13 @@ def test_what_is_out_of_range_is_refused() -> None:
         vary(MODEL, spectral_metric="mine")
 
 
-def test_a_rating_is_bias_gain_percept_shift_and_noise() -> None:
+def test_a_rating_is_bias_gain_percept_and_noise() -> None:
     exact = replace(CAREFUL, bias=-4.0, gain=1.5, noise_sd=0.0)
-    assert rate_many(exact, 40.0, shift=7.0, n=2).tolist() == [63.0, 63.0]
-    assert (
-        exact.rate(40.0, sure=100.0, shift=7.0, growth=1.0, rng=np.random.default_rng())
-        == 100 - 90 - 4 + 7
-    )
-    ratings = rate_many(CAREFUL, 50.0, growth=1.5)
-    assert (ratings.mean(), ratings.std()) == (
-        pytest.approx(50, abs=0.6),
-        pytest.approx(12, rel=0.04),
-    )
+    assert rate_many(exact, 40.0, n=2).tolist() == [56.0, 56.0]
+    assert exact.rate(40.0, np.random.default_rng(), sure=100.0) == 100 - 90 - 4
+    ratings = rate_many(CAREFUL, 50.0)
+    assert ratings.mean() == pytest.approx(50, abs=0.6)
+    assert ratings.std() == pytest.approx(8, rel=0.04)
 
 
 @pytest.mark.parametrize("lapse_rate", [0.0, 0.05, 0.3])
@@ -150,15 +143,15 @@ def test_the_expected_rating_is_the_mean_of_many_people(lapse_rate: float) -> No
     percepts = [5.0, 50.0, 95.0]
     rng = np.random.default_rng(5)
     raters = draw_many(model, 4000)
-    given = np.array([[r.rate(p, shift=0, growth=1, rng=rng) for p in percepts] for r in raters])
+    given = np.array([[r.rate(p, rng) for p in percepts] for r in raters])
     error = given.std(axis=0) / np.sqrt(len(given))
     assert np.all(np.abs(given.mean(axis=0) - expect_rating(model, percepts)) < 5 * error)
 
 
-@pytest.mark.parametrize(("apart", "growth"), [(0.0, 1.0), (6.0, 1.0), (12.0, 2.0)])
-def test_the_more_real_is_preferred_as_thurstone_says(apart: float, growth: float) -> None:
+@pytest.mark.parametrize("apart", [0.0, 6.0, 12.0])
+def test_the_more_real_is_preferred_as_thurstone_says(apart: float) -> None:
     rng = np.random.default_rng(5)
     percepts = {"a": 40.0 + apart, "b": 40.0}
-    chosen = [CAREFUL.prefer(percepts, growth=growth, rng=rng) for _ in range(20_000)]
-    expected = norm.cdf(apart / (CAREFUL.noise_sd * growth * np.sqrt(2)))
+    chosen = [CAREFUL.prefer(percepts, rng) for _ in range(20_000)]
+    expected = norm.cdf(apart / (CAREFUL.noise_sd * np.sqrt(2)))
     assert chosen.count("a") / len(chosen) == pytest.approx(expected, abs=0.015)

@@ -232,7 +232,7 @@ def test_a_planted_surprise_is_recovered_and_the_slopes_hold() -> None:
                 {
                     "participant": f"p{number}", "recording": f"r{recording}", "mag": is_mag * 1.0,
                     "spectral": spectral, "temporal": temporal,
-                    "rating": rater.rate(touch.feel(point), shift=0.0, growth=1.0, rng=rng),
+                    "rating": rater.rate(touch.feel(point), rng),
                 }
                 for number, rater in enumerate(raters)
             ]  # fmt: skip

@@ -10,7 +10,7 @@ import json
 import queue
 import threading
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from runpy import run_path
@@ -151,7 +151,7 @@ class Watcher(Hand):
                 "felt": sorted(view.felt),
                 "markers": dict(view.markers),
                 "targets": {
-                    f"{t.name} {t.part}".strip(): asdict(t.track or t.box) for t in targets
+                    f"{t.name} {t.part}".strip(): (t.track or t.box)._asdict() for t in targets
                 },
             },
             time_s=clock(),

@@ -18,13 +18,7 @@ from feel321.study.session.ports import Place
 SCALES = read_scales()
 KINDS = {"realism": "slider", "similarity": "slider", "mushra": "rows", "abx": "choice"}
 MODEL = ObserverModel(
-    intercept=50.0,
-    spectral=20.0,
-    temporal=20.0,
-    gain_sd=0.1,
-    noise_sd=25.0,
-    noise_spread=0.2,
-    order=0.2,
+    intercept=50.0, spectral=20.0, temporal=20.0, gain_sd=0.1, noise_sd=25.0, noise_spread=0.2
 )
 FRAME_S = 0.02
 NAMES = {"realism": ("test",), "similarity": ("reference", "test"), "abx": ("a", "b", "x")}
@@ -57,7 +51,6 @@ class Screen:
     pressed: list[str] = field(default_factory=list)
     released: list[str] = field(default_factory=list)
     confirmed: bool = False
-    typed_frames: int = 0
 
     def press(self, key: str) -> None:
         assert len(self.pressed) == len(self.released)  # one key at a time
@@ -80,8 +73,6 @@ class Screen:
             )
         elif view.kind == "rows" and (key == "tab" or key[0] == "f"):
             self.view = replace(view, felt=view.felt | {"reference" if key == "tab" else key[1:]})
-        elif key.isdigit():
-            self.view, self.typed_frames = replace(view, typed=view.typed + key), 10
         elif view.kind == "rows" and key in {"up", "down"}:
             rows = [judgement.part for judgement in view.trial.judgements if view.trial]
             place = rows.index(view.selected) + (1 if key == "down" else -1)
@@ -94,13 +85,6 @@ class Screen:
         at = self.view.markers.get(self.view.selected, 50.0 - step)
         moved = min(max(at + step, 0.0), 100.0)
         self.view = replace(self.view, markers={**self.view.markers, self.view.selected: moved})
-
-    def pass_frame(self) -> None:
-        self.typed_frames -= 1
-        if self.view.typed and self.typed_frames <= 0:
-            value = min(float(self.view.typed), 100.0)
-            markers = {**self.view.markers, self.view.selected: value}
-            self.view = replace(self.view, typed="", markers=markers)
 
 
 def bring_up(number: int, protocol: str, *, attempt: int = 1) -> View:
@@ -127,18 +111,14 @@ class Visit:
         mind = Participant(MODEL, seed=3, number=1)
         self.hand = PressingHand(mind, self, stimuli=STIMULI, clock=lambda: self.time_s)
 
-    def press(self, key: str) -> None:
-        self.screen.press(key)
-
-    def release(self, key: str) -> None:
-        self.screen.release(key)
+    def press(self, key: str, *, is_down: bool = True) -> None:
+        (self.screen.press if is_down else self.screen.release)(key)
 
     def meet(self, view: View, *, lost: set[int] | None = None) -> Screen:
         self.screen = Screen(view, lost or set())
         for _ in range(2000):
             self.hand.watch(self.screen.view)
             self.time_s += FRAME_S
-            self.screen.pass_frame()
             if self.screen.confirmed and len(self.screen.pressed) == len(self.screen.released):
                 return self.screen
         pytest.fail(f"never confirmed; pressed {self.screen.pressed[-20:]}")

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from feel321.study.session.events import TrialContinued
 from feel321.study.session.journal import (
     START,
     Record,
@@ -42,11 +43,14 @@ JSON = st.recursive(
 )
 
 
+SIXTH = TrialContinued(6, 1, 63.0)
+
+
 @pytest.fixture
 def journal(tmp_path: Path, now: Now) -> Journal:
     journal = create_journal(tmp_path / "session-01.jsonl", now=now)
     for number in range(1, 6):
-        journal.write("rated", {"trial": number, "rating": number * 10.5})
+        journal.write(TrialContinued(number, 1, number * 10.5))
     return journal
 
 
@@ -61,7 +65,7 @@ def test_every_line_is_json_with_number_time_and_digest_of_the_line_before(
         *(digest(line) for line in lines[:-1]),
     ]
     assert entries[2]["utc"] == "2026-01-01T00:00:02.000+00:00"
-    assert entries[4]["data"] == {"trial": 5, "rating": 52.5}
+    assert entries[4]["data"] == {"trial": 5, "attempt": 1, "time_s": 52.5}
 
 
 @given(st.lists(st.tuples(st.text(), st.dictionaries(st.text(), JSON, max_size=4)), max_size=6))
@@ -141,10 +145,10 @@ def test_a_full_disk_leaves_the_last_whole_record(
     with monkeypatch.context() as patch:
         patch.setattr(os, "write", lambda descriptor, data: write(descriptor, data[:20]))
         with pytest.raises(OSError, match=r"the disk took 20 of \d+ bytes; make room, then resume"):
-            journal.write("rated", {"trial": 6})
+            journal.write(SIXTH)
     assert journal.path.read_bytes() == before
     again = require_journal(journal.path, now=now)
-    again.write("rated", {"trial": 6})
+    again.write(SIXTH)
     assert len(require_journal(journal.path, now=now).records) == 6
 
 
@@ -176,14 +180,14 @@ def test_a_write_that_was_broken_off_closes_the_journal_and_the_chain_holds(
     with monkeypatch.context() as patch:
         patch.setattr(os, call, do_it_then_fail)
         with pytest.raises(type(error), match=message):
-            journal.write("rated", {"trial": 6})
+            journal.write(SIXTH)
     with pytest.raises(
         OSError, match=r"session-01\.jsonl: an earlier write was broken off, .* reopen it to resume"
     ):
-        journal.write("rated", {"trial": 6})
+        journal.write(SIXTH)
     again = require_journal(journal.path, now=now)
     assert again.records[:kept] == journal.records
-    again.write("finished", {})
+    again.write(SIXTH)
     assert read_journal(journal.path).records == again.records
 
 
@@ -194,7 +198,7 @@ def test_every_record_is_synced_before_write_returns(
     write, fsync = os.write, os.fsync
     monkeypatch.setattr(os, "write", lambda d, data: (calls.append("write"), write(d, data))[1])
     monkeypatch.setattr(os, "fsync", lambda d: (calls.append("fsync"), fsync(d))[1])
-    journal.write("rated", {"trial": 6})
+    journal.write(SIXTH)
     assert calls == ["write", "fsync"]
 
 

@@ -1,4 +1,4 @@
-"""Events on the lab streaming layer: each once, in order, at the time of the journal's clock."""
+"""Onsets on the lab streaming layer: each once, in order, at the time of the journal's clock."""
 
 from __future__ import annotations
 
@@ -30,13 +30,9 @@ import sys, json, pylsl
 inlet = pylsl.StreamInlet(found)
 inlet.open_stream(20)
 print("ready", flush=True)
-while True:
+for _ in range(int(sys.argv[2])):
     sample, stamp = inlet.pull_sample(20)
-    if sample is None:
-        break
     print(json.dumps([sample[0], stamp]), flush=True)
-    if json.loads(sample[0])["event"] == "finished":
-        break
 """
 
 
@@ -55,7 +51,7 @@ def test_another_process_receives_every_event_once_in_order_and_in_time(
         source = name_source(journal.path)
         assert plan.participant not in source
         with open_outlet(journal, presenter.pass_time):
-            command = [sys.executable, "-c", INLET, source]
+            command = [sys.executable, "-c", INLET, source, "30"]
             with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as inlet:
                 assert inlet.stdout is not None
                 assert inlet.stdout.readline() == "ready\n"
@@ -65,13 +61,9 @@ def test_another_process_receives_every_event_once_in_order_and_in_time(
         records = list(journal.records)
     wanted = [make_marker(record) for record in records if record.event in SENT]
     assert [text for text, _ in received] == [text for text, _ in wanted]
-    assert len(received) > 60
     late = [
-        abs(got - offset - time_s)
-        for (_, got), (_, time_s) in zip(received, wanted, strict=True)
-        if time_s is not None
+        abs(got - offset - time_s) for (_, got), (_, time_s) in zip(received, wanted, strict=True)
     ]
-    assert len(late) > 40
     assert max(late) < TOLERANCE_S
 
 
@@ -88,7 +80,6 @@ def test_a_playback_has_the_time_of_its_onset() -> None:
     }  # fmt: skip
     unheard = Record(4, "", "prompted", PLAYED | {"onset_s": None})
     assert make_marker(unheard)[1] == 0.5
-    assert make_marker(Record(3, "", "shown", {"trial": 7, "attempt": 1}))[1] is None
 
 
 def test_a_lost_marker_is_named_and_ends_nothing(
@@ -108,9 +99,11 @@ def test_a_lost_marker_is_named_and_ends_nothing(
     monkeypatch.setattr(pylsl, "local_clock", lambda: 5.0)
     journal: Any = SimpleNamespace(path=tmp_path / "a.jsonl", listeners=[])
     records = [
-        Record(3, "", "shown", {"trial": 7, "attempt": 1}),
         Record(4, "", "played", PLAYED),
-        *(Record(5, "", name, {"value": "secret"}) for name in ("answered", "note", "begun")),
+        *(
+            Record(5, "", name, {"value": "secret"})
+            for name in ("shown", "answered", "note", "begun")
+        ),
     ]
 
     def lead() -> None:
@@ -118,9 +111,9 @@ def test_a_lost_marker_is_named_and_ends_nothing(
             for record in records:
                 journal.listeners[0](record)
 
-    with pytest.warns(UserWarning, match=r"LSL: 2 markers were lost \(gone\)"):
+    with pytest.warns(UserWarning, match=r"LSL: 1 markers were lost \(gone\)"):
         lead()
-    assert sent == [("shown", 5.0), ("played", 4.75)]
+    assert sent == [("played", 4.75)]
     assert journal.listeners == []
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.session.events import PageRead
+from feel321.study.session.events import PageRead, SessionReleased, read_event
 from feel321.study.session.journal import create_journal, read_journal, require_journal, utc_now
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Stale, make_plan, require_plan
@@ -125,7 +125,7 @@ def test_a_header_that_does_not_fit_the_plan_is_refused_and_the_difference_named
     path = folder / "session-01.jsonl"
     path.unlink()
     journal = create_journal(path, now=now)
-    journal.write("begun", header)
+    journal.write(read_event("begun", header))
     if "versions" in change:  # Before that, other texts do no harm.
         journal.write(PageRead("welcome", 1.0, 1.0))
     use = " or use feel321 0.0.1, which began it" if "versions" in change else ""
@@ -219,7 +219,7 @@ def test_who_was_released_or_withdrawn_does_not_come_back(
     with pytest.raises(KeyboardInterrupt):
         present(scripted(stop_after=3))
     journal = require_journal(folder / "session-01.jsonl", now=utc_now)
-    journal.write("released", {})
+    journal.write(SessionReleased())
     with pytest.raises(ValueError, match="p01 was released, the place in the design is free; take"):
         present(scripted())
     (folder / "withdrawn.json").write_text("{}", encoding="utf-8")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.folder import StudyFolder
-from feel321.study.observer.model import cast_observers, identify_observer
+from feel321.study.observer.model import Casting, make_model
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.journal import utc_now
 from feel321.study.sessions import lead_session, open_room, plan_sessions
@@ -39,7 +39,7 @@ def main(path: Path, participant: str, seed: int, sleep_s: float) -> None:
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
     room = open_room(study, settings, stimuli, now=utc_now)
     plan = plan_sessions(room, settings, [participant], simulated=True)[0]
-    casting = cast_observers(settings, seed=seed)
+    casting = Casting(make_model(settings), seed)
 
     @contextmanager
     def seat(_plan: Any, _journal: Any, _stimuli: Any) -> Iterator[SlowObserver]:
@@ -47,7 +47,7 @@ def main(path: Path, participant: str, seed: int, sleep_s: float) -> None:
         observer.sleep_s = sleep_s
         yield observer
 
-    identity = make_identity(settings, path, identify_observer(casting.model, seed=seed))
+    identity = make_identity(settings, path, casting.identity)
     lead_session(room, plan, identity=identity, make_presenter=seat)
 
 

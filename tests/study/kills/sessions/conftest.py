@@ -22,7 +22,7 @@ from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import Station, plan_participants
-from feel321.study.observer.model import ObserverModel, identify_observer
+from feel321.study.observer.model import Casting, ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import write_roster
 from feel321.study.ratings import write_ratings
@@ -87,13 +87,7 @@ BLOCK = ThresholdBlock(
 
 FLOW = Flow(break_trials=3, break_min=None, training_rounds=2)
 
-MODEL = ObserverModel(**{
-    **ObserverTable().model_dump(),
-    "order": 0.2,
-    "fatigue": 3.0,
-    "lapse_rate": 0.1,
-})
-"""With a memory of the trial before, so that a session that forgets it gives other answers."""
+MODEL = ObserverModel(**{**ObserverTable().model_dump(), "lapse_rate": 0.1})
 
 MOODS = ("calm", "dry", "pausing", "rash", "dead", "replaying", "cut", "hasty", "dead")
 """What a scripted participant and device do in an attempt; each trial and attempt has its own."""
@@ -218,7 +212,7 @@ class Session:
         (plan,) = plan_participants(study, ["sim001"], make, simulated=True, station=Station())
         room = Room(study, NO_SETTINGS, self.stimuli, SCALES, Stale(6.0, self.policy), now)
         make_presenter = partial(self._make_presenter, memory=set())
-        identity = {"presenter": identify_observer(MODEL, seed=3)}
+        identity = {"presenter": Casting(MODEL, 3).identity}
         while lead_session(room, plan, identity=identity, make_presenter=make_presenter)[0].stopped:
             pass
         write_roster(study)
@@ -226,15 +220,13 @@ class Session:
 
     @contextmanager
     def _make_presenter(
-        self, plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, memory: set[str]
+        self, _plan: Plan, journal: Journal, _stimuli: Any, *, memory: set[str]
     ) -> Iterator[Presenter]:
         elapsed_s = journal.records.find_elapsed()
         if self.presenter == "scripted":
             yield Scripted(elapsed_s, memory)
-            return
-        observer = SimulatedObserver(MODEL, seed=3, number=1, elapsed_s=elapsed_s)
-        observer.recall(journal.records, plan.trials, stimuli=stimuli)
-        yield observer
+        else:
+            yield SimulatedObserver(MODEL, seed=3, number=1, elapsed_s=elapsed_s)
 
 
 @dataclass(frozen=True)
