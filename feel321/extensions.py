@@ -1,4 +1,4 @@
-"""Extensions: a lab's own reducer, metric, protocol, recording format or screening rule, found by one look-up.
+"""Extensions: a lab's own reducer, metric or protocol, found by one look-up.
 
 A method is given as
 
@@ -47,8 +47,6 @@ GROUPS: Mapping[str, str] = {
     "reducer": "feel321.reducers",
     "metric": "feel321.metrics",
     "protocol": "feel321.protocols",
-    "format": "feel321.formats",
-    "screening rule": "feel321.screening",
 }
 """Kind of method -> group of entry points; the only list of kinds."""
 

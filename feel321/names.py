@@ -67,17 +67,17 @@ ANCHOR_NAMES = ("anchor_low", "anchor_mid")
 MEASURES: Mapping[str, str] = Registry(
     "measure",
     {
-        "metric_of_reducer": "measures:measure_metric",
-        "rating_of_reducer": "measures:measure_rating",
-        "slope": "measures:measure_slope",
-        "one_axis_against_three": "measures:measure_told_apart",
-        "map_attribute": "measures:measure_attribute",
-        "correlation": "measures:measure_correlation",
-        "rating_excess": "measures:measure_rating_excess",
+        "metric_of_reducer": "measure_metric",
+        "rating_of_reducer": "measure_rating",
+        "slope": "measure_slope",
+        "one_axis_against_three": "measure_told_apart",
+        "map_attribute": "measure_attribute",
+        "correlation": "measure_correlation",
+        "rating_excess": "measure_rating_excess",
     },
 )
-"""What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of a module of
-`feel321.analysis.replication`, imported when it is used."""
+"""What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of
+`feel321.analysis.replication`."""
 
 EXPECTATIONS = ("positive", "negative", "near", "highest", "lowest")
 """What a paper's claim says of its number: on which side of zero, near the paper's, or above or below all others."""

@@ -6,7 +6,7 @@ Results have `to_frame` and `summary`; the other records are those that signals,
 from feel321.analysis.mixed.model import MixedFit
 from feel321.analysis.power.plan import PowerPlan
 from feel321.analysis.primary.model import Primaries, Primary
-from feel321.analysis.replication.claims import Paper, PaperClaim
+from feel321.analysis.replication import Paper, PaperClaim
 from feel321.analysis.report.standing import About, Hypothesis, Standing
 from feel321.analysis.report.write import Results
 from feel321.analysis.table.items import Table

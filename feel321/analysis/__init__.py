@@ -28,7 +28,6 @@ if _TYPE_CHECKING:
         plot_recording,
         plot_scatter,
         plot_slopes,
-        plot_spectrogram,
         plot_spectrum,
     )
     from feel321.analysis.power.plan import plan_power
@@ -51,7 +50,7 @@ __all__ = [
     "discriminate", "equivalence", "fit_attributes", "fit_mixed", "fit_primary",
     "fit_space", "intraclass",
     "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401", "plan_power",
-    "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes", "plot_spectrogram",
+    "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
     "plot_spectrum", "predict_votes", "rank_metrics", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters",
     "write_report",

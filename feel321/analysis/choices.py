@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 
 NEEDED = ("participant", STIMULUS, OTHER, "rating")
 CHANCE = 0.5
-FEWEST = 3
-"""Participants and recordings below which there is no interval."""
-
+FEWEST = 3  # Participants and recordings below which there is no interval
 FEW = "Below 3 participants or 3 recordings there is no interval."
 
 
@@ -77,14 +75,9 @@ class Votes:
 
 
 def gather_votes(
-    ratings: Table | DataFrame,
-    stimuli: DataFrame | None = None,
-    *,
-    scale: str | None = None,
-    level: str | None = None,
-    metrics: Sequence[str] | None = (),
-    higher: Mapping[str, Direction] | None = None,
-) -> Votes:
+    ratings: Table | DataFrame, stimuli: DataFrame | None = None, *, scale: str | None = None, level: str | None = None,
+    metrics: Sequence[str] | None = (), higher: Mapping[str, Direction] | None = None,
+) -> Votes:  # fmt: skip
     """Gather the votes of one scale; with metrics, those that the metrics are asked about."""
     rows, listed, planned = _open(ratings, stimuli)
     if isinstance(ratings, Table):
@@ -95,7 +88,8 @@ def gather_votes(
     if names:
         check_columns(listed, names, "stimuli")
         rows, notes = _keep_comparable(rows, listed, names)
-    return _number(rows, listed, metrics=names, higher=higher or {}, notes=notes)
+    signs = np.array([-1.0 if (higher or {}).get(name) == "worse" else 1.0 for name in names])
+    return _number(rows, listed, names, signs=signs, notes=notes)
 
 
 def _open(
@@ -105,23 +99,17 @@ def _open(
 
     if isinstance(ratings, Table):
         if stimuli is not None:
-            raise ValueError(
-                "stimuli must be left out with a Table, which has them; pass the Table alone"
-            )
+            raise ValueError("stimuli must be left out with a Table, which has them")
         if ratings.stimuli is None:
-            raise ValueError(
-                "ratings must be a Table that read_table made, got one without stimuli"
-            )
+            raise ValueError("ratings must be a Table of read_table, got one without stimuli")
         rows = ratings.rows[ratings.rows["scale"].isin(CHOSEN)]
         return rows, ratings.stimuli, ratings.metrics
     if not isinstance(ratings, DataFrame):
-        raise TypeError(
-            f"ratings must be a Table or a DataFrame, got {describe(ratings)}; read_table reads files"
-        )
+        got = f"{describe(ratings)}; read_table reads files"
+        raise TypeError(f"ratings must be a Table or a DataFrame, got {got}")
     if stimuli is None:
-        raise ValueError(
-            "stimuli must be given with a DataFrame of votes: a row per stimulus, with its metrics"
-        )
+        what = "a row per stimulus, with its metrics"
+        raise ValueError(f"stimuli must be given with a DataFrame of votes: {what}")
     check_columns(ratings, NEEDED, "ratings")
     listed = stimuli.set_index(STIMULUS) if STIMULUS in stimuli else stimuli
     check_columns(listed, ["recording"], "stimuli")
@@ -137,18 +125,16 @@ def _select(
         found = rows[column] if column in rows else rows[STIMULUS].map(listed[column])
         rows = rows[found == check_name(name, sorted(found.unique()), column)]
     if "scale" in rows and len(several := sorted(rows["scale"].unique())) > 1:
-        raise ValueError(
-            f"scale must be given where there are several, got {', '.join(several)}; name one"
-        )
+        got = f"got {', '.join(several)}; name one"
+        raise ValueError(f"scale must be given where there are several, {got}")
     if rows.empty:
         raise ValueError("ratings must hold a choice between two stimuli or more, got none")
     if not rows["rating"].isin([LOWEST, HIGHEST]).all():
         raise ValueError("ratings must be 100 (stimulus_id was chosen) or 0 (other_id was chosen)")
     for name in (STIMULUS, OTHER):
         if strangers := sorted(set(rows[name]) - set(listed.index)):
-            raise ValueError(
-                f"{name} must be a stimulus of the table of stimuli, got {strangers[0]!r}"
-            )
+            got = f"got {strangers[0]!r}"
+            raise ValueError(f"{name} must be a stimulus of the table of stimuli, {got}")
     return rows
 
 
@@ -157,31 +143,23 @@ def _keep_comparable(
 ) -> tuple[DataFrame, list[str]]:
     """Keep the votes between test stimuli that have all metrics, about the recording itself."""
     both = [rows[name] for name in (STIMULUS, OTHER)]
-    is_matched = rows["matched"] if "matched" in rows else np.ones(len(rows), dtype=bool)
+    is_matched = rows["matched"].to_numpy(bool) if "matched" in rows else np.ones(len(rows), bool)
     is_test = np.ones(len(rows), dtype=bool)
     if ROLE in listed:
         is_test = np.logical_and(*(ids.map(listed[ROLE]).to_numpy() == TEST for ids in both))
     known = listed[list(metrics)].notna().all(axis=1)
-    is_known = np.logical_and(*(ids.map(known).to_numpy(bool) for ids in both))
-    kept = np.asarray(is_matched, dtype=bool) & is_test & is_known
+    kept = is_matched & is_test & np.logical_and(*(ids.map(known).to_numpy(bool) for ids in both))
     notes = []
     if lost := int((is_test & ~kept).sum()):
-        notes.append(
-            f"{lost} choices have another reference than the recording, or a stimulus without a value of some metric: "
-            "no metric is tested on them."
-        )
+        why = "have another reference than the recording, or a stimulus without a value of some metric"
+        notes.append(f"{lost} choices {why}: no metric is tested on them.")
     if not kept.any():
         raise ValueError(notes[0] if notes else "No choice is between two test stimuli.")
     return rows[kept], notes
 
 
 def _number(
-    rows: DataFrame,
-    listed: DataFrame,
-    *,
-    metrics: Sequence[str],
-    higher: Mapping[str, Direction],
-    notes: Sequence[str],
+    rows: DataFrame, listed: DataFrame, metrics: Sequence[str], *, signs: Values, notes: list[str]
 ) -> Votes:
     import pandas as pd
 
@@ -189,43 +167,18 @@ def _number(
     names, codes = np.unique(np.concatenate([one, other]), return_inverse=True)
     first, second = np.split(codes.astype(np.intp), 2)
     if (first == second).any():
-        raise ValueError(
-            f"other_id must be another stimulus than stimulus_id, got {one[first == second][0]!r} twice"
-        )
-    about = np.full(len(rows), "", object)
-    if "reference_id" in rows:
-        about = rows["reference_id"].fillna("").to_numpy()
-    met = pd.MultiIndex.from_arrays([
-        np.minimum(first, second), np.maximum(first, second), about
-    ])  # fmt: skip
-    origin = "source" if "source" in listed else "recording"
-    signs = np.array([-1.0 if higher.get(name) == "worse" else 1.0 for name in metrics])
+        got = f"got {one[first == second][0]!r} twice"
+        raise ValueError(f"other_id must be another stimulus than stimulus_id, {got}")
+    about = rows.get("reference_id", pd.Series("", rows.index)).fillna("").to_numpy()
+    ends = np.minimum(first, second), np.maximum(first, second)
+    origin = rows[STIMULUS].map(listed["source" if "source" in listed else "recording"])
     values = listed.loc[names, list(metrics)].to_numpy(np.float64) * signs
     return Votes(
-        participant=pd.factorize(rows["participant"])[0],
-        source=pd.factorize(rows[STIMULUS].map(listed[origin]))[0],
-        pair=pd.factorize(met)[0],
-        turned=first > second,
-        chose_first=(rows["rating"] == HIGHEST).to_numpy(),
-        metrics=tuple(metrics),
-        differences=values[first] - values[second],
-        notes=tuple(notes),
-    )
-
-
-def cluster_products(votes: Votes, scores: Values) -> tuple[Values, Values, Values]:
-    """Add scores, (n_votes, n), by participant, source and both, and multiply the sums with themselves: (n, n) each.
-
-    Each is corrected for the number of groups G by G / (G - 1).
-    """
-    cells = votes.participant * votes.n_sources + votes.source
-    found = []
-    for groups in (votes.participant, votes.source, cells):
-        codes = np.unique(groups, return_inverse=True)[1]
-        sums = np.stack([np.bincount(codes, column) for column in scores.T], axis=1)
-        found.append(sums.T @ sums * (len(sums) / max(len(sums) - 1, 1)))
-    one, other, both = (np.asarray(product, dtype=np.float64) for product in found)
-    return one, other, both
+        participant=pd.factorize(rows["participant"])[0], source=pd.factorize(origin)[0],
+        pair=pd.factorize(pd.MultiIndex.from_arrays([*ends, about]))[0], turned=first > second,
+        chose_first=(rows["rating"] == HIGHEST).to_numpy(), metrics=tuple(metrics),
+        differences=values[first] - values[second], notes=tuple(notes),
+    )  # fmt: skip
 
 
 def predict_votes(
@@ -260,9 +213,8 @@ def predict_votes(
         ``shares``, indexed by metric: ``share`` of choices predicted, a tie counting half, its 95 % two-way interval
         ``low high``, ``p`` against chance (0.5), ``p_holm`` and ``n_ties``; ``differences`` of two metrics' shares,
         likewise; ``others others_low others_high``, the share that the majority of the other participants made of the
-        same pair, what a person's choice can be predicted by; ``majority``, the share that agrees with the majority of
-        all: no metric that gives everybody the same answer predicts more; ``n_votes n_participants n_recordings
-        n_pairs notes``.
+        same pair, and ``majority``, that of all: the ceiling from both sides [2]_; ``n_votes n_participants
+        n_recordings n_pairs notes``.
 
     Raises
     ------
@@ -275,12 +227,8 @@ def predict_votes(
     variance is that of clustering by participants and by recordings [1]_, V_P + V_R - V_PR, each part multiplied by
     G / (G - 1) for G groups, and never less than V_P or V_R; 95 % t intervals with U - 1 degrees of freedom, U the
     smaller number of the two, of shares on the scale of log odds. Below 3 participants or recordings there is none.
-    Choices are mostly noise, which a bootstrap of participants and recordings counts three times: in 300 simulated
-    studies a metric without any effect was found at a nominal 5 % in 0 to 2 % by such a bootstrap, and in 1 to 5 % by
-    this variance. Reducers are not drawn: another set of reducers may rank metrics differently.
-
-    The ceiling is given from both sides, as for noise ceilings of representational models [2]_: by the majority of the
-    others, and by the majority of all.
+    A bootstrap of both counts the noise of choices three times: in 300 simulated studies of a metric without effect it
+    found one in 0 to 2 %, this variance in 1 to 5 % (nominal 5 %). Other reducers may rank metrics differently.
 
     References
     ----------
@@ -324,9 +272,8 @@ def predict(votes: Votes) -> Statistic:
     if votes.n_units < FEWEST:
         notes.append(FEW)
     if not is_known:
-        notes.append(
-            "Fewer than half of the choices were also made by somebody else: how well people agree cannot be estimated."
-        )
+        few = "Fewer than half of the choices were also made by somebody else"
+        notes.append(f"{few}: how well people agree cannot be estimated.")
     alike = infer_share(votes, others if is_known else np.full(len(votes), np.nan))
     return Statistic(
         "VotePrediction",
@@ -370,7 +317,13 @@ def infer_share(votes: Votes, scores: Values) -> dict[str, float]:
 
 def _measure_error(votes: Votes, influence: Values) -> float:
     """Measure the standard error of a mean from the influence of each vote, (n_votes,), by two-way clustering."""
-    one, other, both = (float(part[0, 0]) for part in cluster_products(votes, influence[:, None]))
+    cells, parts = votes.participant * votes.n_sources + votes.source, []
+    for groups in (votes.participant, votes.source, cells):
+        sums = np.bincount(np.unique(groups, return_inverse=True)[1], influence)
+        parts.append(
+            float(sums @ sums) * len(sums) / max(len(sums) - 1, 1)
+        )  # G / (G - 1) for G groups
+    one, other, both = parts
     error = float(np.sqrt(max(one + other - both, one, other)))
     return error if votes.n_units >= FEWEST and error > 0 else float("nan")
 

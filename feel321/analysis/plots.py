@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from feel321.records import Statistic
     from feel321.stimuli.recording import Recording, Reduced
 
-FLOOR_DB = -80.0
-"""Below the strongest: what a spectrum or spectrogram does not show."""
-
 
 def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = None) -> Axes:
     """Plot mean ratings of test stimuli against a metric, a colour per reducer.
@@ -42,24 +39,12 @@ def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = N
     -------
     Axes
         The same, with 95 % t intervals over participants as vertical lines.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> rows = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "reducer": list("uvuv"),
-    ...     "recording": "tap", "level": "as_is", "role": "test", "scale": "realism", "match": [0.2, 0.9] * 2,
-    ...     "rating": [20, 70, 30, 90]})
-    >>> analysis.plot_scatter(rows, "match").get_xlabel()
-    'Match'
     """
     rows, _ = open_tests(ratings, [metric])
     values = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")[[metric]]
     stimuli = stimulus_means(rows).join(values, on="stimulus_id")
-    ax = _find_axes(ax)
-    shown = kinds.plot_stimuli(
-        ax, stimuli, metric, looks=assign_looks(order_reducers(stimuli["reducer"]))
-    )
+    ax, looks = _find_axes(ax), assign_looks(order_reducers(stimuli["reducer"]))
+    shown = kinds.plot_stimuli(ax, stimuli, metric, looks=looks)
     ax.set(xlabel=format_axis(metric), ylabel=_label_ratings(rows))
     ax.legend(shown.values(), map(format_name, shown))
     return ax
@@ -79,15 +64,6 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
     -------
     Axes
         The same: a row per reducer, the one rated highest on top.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> rows = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "reducer": list("uvuv"),
-    ...     "level": "as_is", "role": "test", "scale": "realism", "rating": [20, 70, 30, 90]})
-    >>> analysis.plot_profile(rows).get_xlabel()
-    'Realism rating'
     """
     profile, ax = profile_reducers(ratings), _find_axes(ax)
     names = order_reducers(profile["reducer"])
@@ -95,9 +71,7 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
     if len(parts) == 1:
         kinds.plot_profile(ax, profile, participant_means(ratings), looks=assign_looks(names))
     else:
-        looks = assign_looks([
-            f"{format_name(str(scale))}, {format_name(str(level))}" for (scale, level), _ in parts
-        ])
+        looks = assign_looks([", ".join(format_name(str(one)) for one in key) for key, _ in parts])
         part = profile["scale"].map(format_name) + ", " + profile["level"].map(format_name)
         order = {name: place for place, name in enumerate(names)}
         frame = profile.assign(part=part, name=profile["reducer"].map(format_name))
@@ -128,10 +102,8 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     from feel321.analysis.primary.model import Primary
 
     ax, items = _find_axes(ax), {"": models} if isinstance(models, Primary) else models
-    named = {
-        ", ".join(name) if isinstance(name, tuple) else str(name): one
-        for name, one in items.items()
-    }
+    names = (", ".join(name) if isinstance(name, tuple) else str(name) for name in items)
+    named = dict(zip(names, items.values(), strict=True))
     frame = kinds.list_slopes(named, {})
     looks, heading = kinds.look_up(frame["metric"]), "attribute" if any(named) else ""
     kinds.plot_forest(ax, frame, series="metric", looks=looks, heading=heading)
@@ -153,14 +125,6 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
     -------
     Axes
         The same: a row per correlation, the first on top; vertical lines are ceilings.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> rows = pd.DataFrame({"metric": ["match"], "value": [0.7], "low": [0.4], "high": [0.9], "ceiling": [0.95]})
-    >>> analysis.plot_correlations(rows).get_xlabel()
-    'Correlation with mean ratings'
     """
     import pandas as pd
 
@@ -236,12 +200,6 @@ def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Ax
     -------
     Axes
         The same, in seconds and m/s².
-
-    Examples
-    --------
-    >>> from feel321 import analysis, stimuli
-    >>> analysis.plot_recording(stimuli.make_scene("hard_taps")).get_xlabel()
-    'Time (s)'
     """
     from feel321.stimuli.recording import as_signal
 
@@ -273,12 +231,6 @@ def plot_spectrum(
     -------
     Axes
         The same: both axes logarithmic, from 10 Hz on.
-
-    Examples
-    --------
-    >>> from feel321 import analysis, stimuli
-    >>> analysis.plot_spectrum(stimuli.make_scene("hard_taps")).get_xscale()
-    'log'
     """
     from feel321.stimuli.spectra import psd
 
@@ -288,42 +240,6 @@ def plot_spectrum(
         ax.loglog(found.frequencies_hz[1:], found.density[1:], label=_name(signal))
     ax.set(xlabel="Frequency (Hz)", ylabel="Power spectral density ((m/s²)²/Hz)", xlim=(10, None))
     ax.legend()
-    return ax
-
-
-def plot_spectrogram(
-    signal: Recording | Reduced, *, window_s: float = 0.035, ax: Axes | None = None
-) -> Axes:
-    """Plot a spectrogram, summed over axes, in dB under its strongest point.
-
-    Parameters
-    ----------
-    signal : Recording or Reduced
-        Samples with their rate.
-    window_s : float
-        Length of a window, in s; windows overlap by half.
-    ax : Axes, optional
-        Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: frequencies up to 1000 Hz over time.
-
-    Examples
-    --------
-    >>> from feel321 import analysis, stimuli
-    >>> analysis.plot_spectrogram(stimuli.make_scene("hard_taps")).get_ylabel()
-    'Frequency (Hz)'
-    """
-    from feel321.stimuli.spectra import spectrogram
-
-    ax, found = _find_axes(ax), spectrogram(signal, window_s=window_s)
-    strongest = found.density.max() or 1.0  # a silent signal is at the floor throughout
-    level = 10 * np.log10(np.maximum(found.density / strongest, 10 ** (FLOOR_DB / 10)))
-    ax.pcolormesh(found.times_s, found.frequencies_hz, level, shading="auto", vmin=FLOOR_DB, vmax=0)
-    ax.set(xlabel="Time (s)", ylabel="Frequency (Hz)", ylim=(0, min(1000, signal.rate_hz / 2)))
-    ax.set_title(_name(signal))
     return ax
 
 

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from feel321.analysis.table.items import Items
-    from feel321.extensions import Method
 
 
 BLOCK = 4_000_000
@@ -47,13 +46,12 @@ class Choices:
     """Choices that were made before the ratings were seen.
 
     draws: bootstrap draws per interval and random pairings per permutation test. margin: difference in points that
-    does not matter; None: equivalence is not tested. rules: the lab's own screening rules.
+    does not matter; None: equivalence is not tested.
     """
 
     draws: int = 2000
     margin: float | None = None
     seed: int = 0
-    rules: tuple[Method, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what cannot be."""

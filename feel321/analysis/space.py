@@ -3,12 +3,15 @@
 Conventions: dissimilarities have shape (stimuli, stimuli), or (participants, stimuli, stimuli); 0 on the
 diagonal, symmetric, NaN where a pair was not rated. Positions have shape (stimuli, dimensions), in the same order of
 stimuli everywhere, are centred, and lie along their principal axes; only distances between them have a meaning, not
-their direction.
+their direction. Attributes of stimuli are compared within recordings: with the map of every recording centred and
+turned onto the map of all, what differs between recordings has no part.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from itertools import permutations as reorder
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,6 +21,7 @@ from feel321.analysis.table.items import Table, is_tidy, open_ratings
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import PAIRED
 from feel321.doors import as_rng
+from feel321.names import METRIC_INFO, REDUCER_NAMES
 from feel321.records import Statistic
 
 if TYPE_CHECKING:
@@ -26,20 +30,13 @@ if TYPE_CHECKING:
 
     from feel321.types import Rng
 
-FEWEST = 3
-"""Stimuli that make a shape."""
-
-CUBE = 3
-"""Axes of a stack of matrices."""
-
-PLANE = 2
-"""Dimensions of a map on paper, and the participants that a spread needs."""
-
+FEWEST = 3  # Stimuli that make a shape
+CUBE = 3  # Axes of a stack of matrices
+PLANE = 2  # Dimensions of a map on paper, and the participants that a spread needs
 STARTS = 8
 """Random starts beside the classical one; SMACOF finds the nearest local minimum, not the deepest."""
 
-ROUGH, FINE = (300, 1e-6), (1000, 1e-9)
-"""Steps at most, and the change of stress at which to stop."""
+ROUGH, FINE = (300, 1e-6), (1000, 1e-9)  # Steps at most, and the change of stress at which to stop
 
 
 def fit_space(
@@ -78,13 +75,12 @@ def fit_space(
     Notes
     -----
     SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs. Stress-1 = √(Σ (δ̂ - d)² / Σ d²), where δ̂ is
-    δ, or in ordinal maps its best monotone transform, the same for equal δ. Averaging assumes that people share one
-    map; look at the individual ones before.
+    δ, or in ordinal maps its best monotone transform. Averaging assumes that people share one map.
 
     For ellipses, every draw of participants is scaled anew, from the group's map on, and aligned with it by Procrustes'
-    rotation, because maps have no direction of their own; what is left is the positions' covariance C. The ellipse is
-    {x: (x - m)ᵀ C⁻¹ (x - m) <= χ²(.95, 2) P / (P - 1)} for P participants. Fitting to the group removes some of the
-    movement: with few stimuli ellipses are somewhat small. Pairs that nobody in a draw has rated keep the group's mean.
+    rotation; what is left is the positions' covariance C. The ellipse is {x: (x - m)ᵀ C⁻¹ (x - m) <= χ²(.95, 2) P /
+    (P - 1)} for P participants. Fitting to the group removes some of the movement: with few stimuli ellipses are
+    somewhat small. Pairs that nobody in a draw has rated keep the group's mean.
 
     References
     ----------
@@ -108,22 +104,17 @@ def fit_space(
                 f"dimensions must be 2 for ellipses, got {dimensions}; leave draws out"
             )
         ellipses = bootstrap_space(dissimilarities, ordinal=ordinal, draws=draws, rng=rng)
-        space = ellipses.space
-        return make_space(
-            space.positions, space.stress, ordinal=ordinal, names=names, ellipses=ellipses
-        )
+        places, stress = ellipses.space.positions, ellipses.space.stress
+        return make_space(places, stress, ordinal=ordinal, names=names, ellipses=ellipses)
     target = check_dissimilarities(dissimilarities)
     if not 1 <= dimensions < len(target):
-        raise ValueError(
-            f"dimensions must be 1 to {len(target) - 1} for {len(target)} stimuli, got {dimensions}"
-        )
+        most = len(target) - 1
+        raise ValueError(f"dimensions must be 1 to {most} for {most + 1} stimuli, got {dimensions}")
     starts = [_place_classically(target, dimensions)]
     starts += [target.max() * rng.uniform(-1, 1, (len(target), dimensions)) for _ in range(STARTS)]
-    rough = min(
-        (_scale(target, start, ordinal=ordinal, steps=ROUGH) for start in starts),
-        key=lambda fit: fit[1],
-    )
-    positions, stress = _scale(target, rough[0], ordinal=ordinal, steps=FINE)
+    tried = [_scale(target, start, ordinal=ordinal, steps=ROUGH) for start in starts]
+    rough, _ = min(tried, key=lambda fit: fit[1])
+    positions, stress = _scale(target, rough, ordinal=ordinal, steps=FINE)
     # The largest spread goes along the first axis, and the farthest stimulus to its positive side.
     centred = positions - positions.mean(axis=0)
     turned: Values = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
@@ -166,9 +157,8 @@ def stress_by_dimension(
     if most < 1:
         raise ValueError(f"most must be 1 or more, got {most}")
     numbers = range(1, min(most, len(target) - 1) + 1)
-    return tuple(
-        fit_space(target, dimensions=number, ordinal=ordinal, rng=rng).stress for number in numbers
-    )
+    spaces = (fit_space(target, dimensions=n, ordinal=ordinal, rng=rng) for n in numbers)
+    return tuple(space.stress for space in spaces)
 
 
 def gather_dissimilarities(ratings: Table | DataFrame) -> tuple[tuple[str, ...], Values]:
@@ -179,9 +169,7 @@ def gather_dissimilarities(ratings: Table | DataFrame) -> tuple[tuple[str, ...],
     rows = rows[(rows["scale"] == PAIRED) & (rows["reference_reducer"] != "")]
     rows = rows[rows["reducer"] != rows["reference_reducer"]]
     if rows.empty:
-        raise ValueError(
-            "No judgement names two stimuli of different reducers, in stimulus_id and reference_id."
-        )
+        raise ValueError("No judgement names two stimuli of different reducers (reference_id).")
     back = rows.rename(columns={"reducer": "reference_reducer", "reference_reducer": "reducer"})
     keys = ["participant", "reducer", "reference_reducer"]
     both = pd.concat([rows, back])
@@ -201,11 +189,9 @@ def check_dissimilarities(dissimilarities: object) -> Values:
     people, *sides = stack.shape if stack.ndim == CUBE else (0, 0, 0)
     wrong = ""
     if not people or sides[0] != sides[1] or sides[0] < FEWEST:
-        raise ValueError(
-            "dissimilarities must have shape (stimuli, stimuli) or (participants, stimuli, stimuli), with "
-            f"{FEWEST} stimuli or more, got shape {given.shape}"
-        )
-    if np.isinf(stack).any() or (stack < 0).any():
+        shape = "(stimuli, stimuli) or (participants, stimuli, stimuli)"
+        wrong = f"have shape {shape}, with {FEWEST} stimuli or more, got shape {given.shape}"
+    elif np.isinf(stack).any() or (stack < 0).any():
         wrong = "be 0 or more, NaN where missing, got a negative or infinite value"
     elif np.nansum(np.diagonal(stack, axis1=1, axis2=2)):
         wrong = "be 0 on the diagonal, got a stimulus unlike itself"
@@ -222,7 +208,7 @@ def check_dissimilarities(dissimilarities: object) -> Values:
     mean: Values = np.where(np.isfinite(stack), stack, 0).sum(axis=0) / rated
     if not mean.any():
         raise ValueError(
-            "dissimilarities must differ from 0, got 0 for every pair; stimuli that nobody discriminates have no map"
+            "dissimilarities must differ from 0, got 0 for every pair: there is no map"
         )
     return mean
 
@@ -266,32 +252,17 @@ def align_spaces(
 ) -> Statistic:
     """Compare a map with a physical configuration of the same stimuli, both (stimuli, dimensions) or maps.
 
-    Gives ``disparity``, Procrustes' m²: the share of the reference's variance not met, ``correlation`` √(1 - m²),
-    ``p``, the share of random pairings of stimuli that agree as well or better, ``aligned``, the map fitted to the
-    reference and in its unit, and ``permutations``.
-
-    Notes
-    -----
-    m² = 1 - (Σ σ)², σ the singular values of AᵀB, both centred and of unit size; of fewer dimensions, one is filled
-    with zeros. m² is small for few stimuli even by chance; only the permutation test (PROTEST) says whether it is
-    smaller than that (Gower 1975, doi 10.1007/BF02291478; Peres-Neto & Jackson 2001, doi 10.1007/s004420100720).
-
-    Examples
-    --------
-    >>> places = np.random.default_rng(1).normal(size=(8, 2))
-    >>> result = align_spaces(places, 3 * places[:, ::-1] + 7)
-    >>> round(result.correlation, 6), result.p < 0.01
-    (1.0, True)
+    Gives ``disparity``, Procrustes' m² = 1 - (Σ σ)², σ the singular values of AᵀB, both centred and of unit size: the
+    share of the reference's variance not met; ``correlation`` √(1 - m²); ``p``, the share of random pairings of stimuli
+    that agree as well or better (PROTEST: Peres-Neto & Jackson 2001, doi 10.1007/s004420100720); ``aligned``, the map
+    fitted to the reference and in its unit.
     """
     if permutations < 1:
         raise ValueError(f"permutations must be 1 or more, got {permutations}; use 2000")
-    one, other = (
-        _check_positions(given, name)
-        for given, name in ((positions, "positions"), (reference, "reference"))
-    )
+    one, other = _check_positions(positions, "positions"), _check_positions(reference, "reference")
     if len(one) != len(other):
         raise ValueError(
-            f"reference must be of the same {len(one)} stimuli as positions, got {len(other)} stimuli"
+            f"reference must be of the same {len(one)} stimuli, got {len(other)} stimuli"
         )
     width, rng = max(one.shape[1], other.shape[1]), as_rng(rng)
     one, other = (np.pad(place, ((0, 0), (0, width - place.shape[1]))) for place in (one, other))
@@ -299,10 +270,9 @@ def align_spaces(
     tried = np.array([_agree(one[rng.permutation(len(one))], other) for _ in range(permutations)])
     p = float((1 + (tried >= agreement - FLAT**0.5).sum()) / (1 + permutations))
     disparity = max(0.0, 1 - agreement**2)
-    aligned = _align(one, other)
     return Statistic(
-        "Alignment", disparity=disparity, correlation=float(np.sqrt(1 - disparity)), p=p, aligned=aligned,
-        permutations=permutations,
+        "Alignment", disparity=disparity, correlation=float(np.sqrt(1 - disparity)), p=p,
+        aligned=_align(one, other), permutations=permutations,
     )  # fmt: skip
 
 
@@ -315,9 +285,7 @@ def bootstrap_space(
     group, rng = check_dissimilarities(dissimilarities), as_rng(rng)
     stack = read_numbers(dissimilarities, what="dissimilarities")
     if stack.ndim == PLANE or len(stack) < PLANE:
-        raise ValueError(
-            "dissimilarities must be of two participants or more for ellipses, got one participant"
-        )
+        raise ValueError("ellipses need dissimilarities of two participants or more, got one")
     if draws <= PLANE:
         raise ValueError(f"draws must be 3 or more, got {draws}; use 200")
     space = fit_space(group, ordinal=ordinal, rng=rng)
@@ -364,3 +332,97 @@ def _align(one: Values, other: Values) -> Values:
     left, stretch, right = np.linalg.svd(_normalise(one).T @ (other - centre))
     aligned: Values = _normalise(one) @ left @ right * stretch.sum() + centre
     return aligned
+
+
+# What the axes are associated with: every stimulus of every recording is a point.
+
+DIRECTIONS = "directions"
+"""Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1."""
+
+ENOUGH = 10  # points for each attribute that a regression wants
+ROUNDING = 1e-9
+ALL_ORDERS = math.factorial(6)  # permutations up to which each is tried
+
+
+def gather_points(
+    rows: DataFrame, stimuli: DataFrame | None, *, rng: np.random.Generator
+) -> tuple[Values, dict[str, Values]]:
+    """Map every recording by itself, turned onto the map of all, and gather every number known of its stimuli.
+
+    Returns places, (n_maps, n_stimuli, 2), and attributes by name, (n_maps, n_stimuli), NaN where there is no number.
+    """
+    if stimuli is None:
+        raise ValueError("Nothing is known of the stimuli.")
+    names, matrices = gather_dissimilarities(rows)
+    whole = fit_space(matrices, rng=rng).positions
+    rows = rows[rows["scale"] == PAIRED]
+    # The original matches itself by definition: it would lie at the end of every metric, as it lies at the edge of
+    # every map, and make any metric seem to contribute. It has no matches here.
+    is_whole = (stimuli["role"] == "reference") & ~stimuli["reducer"].isin(REDUCER_NAMES)
+    numbers = stimuli.select_dtypes("number").assign(**{DIRECTIONS: np.where(is_whole, 3.0, 1.0)})
+    numbers.loc[is_whole, numbers.columns.intersection([*METRIC_INFO])] = np.nan
+    own = numbers[stimuli["level"].isin(rows["level"].unique())]
+    keys = [stimuli.loc[own.index, name] for name in ("recording", "reducer")]
+    means, places, values = own.groupby(keys).mean(), [], []
+    for recording, part in rows.groupby("recording", observed=True):
+        try:
+            found, matrices = gather_dissimilarities(part)
+            place = fit_space(matrices, rng=rng).positions
+        except ValueError:
+            continue
+        if found == names:
+            place = place - place.mean(axis=0)
+            left, _, right = np.linalg.svd(place.T @ (whole - whole.mean(axis=0)))
+            places.append(place @ left @ right)
+            values.append(means.loc[recording].reindex(names).to_numpy(np.float64))
+    if not places:
+        raise ValueError("No recording has ratings of every pair.")
+    attributes = {str(name): np.stack(values)[..., at] for at, name in enumerate(means)}
+    return np.stack(places), {name: one for name, one in attributes.items() if _varies(one)}
+
+
+def _varies(values: Values) -> bool:
+    """Whether enough stimuli have a number, and those of a recording differ in it."""
+    known = values[:, np.isfinite(values).all(axis=0)]
+    spread = known.std(axis=1) if known.shape[1] > FEWEST else np.zeros(1)
+    return bool((spread > ROUNDING * np.abs(known).max(initial=0)).any())
+
+
+def regress_points(
+    places: Values, attributes: dict[str, Values], *, draws: int, rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """Regress every attribute on the axes of the maps, within recordings.
+
+    p: share of permutations of the stimuli (one for all maps, because a reducer is the same in each) that explain as
+    much: all of them, or `draws` where there are more. p_least: the smallest that this attribute could have had.
+    chance, chance_low, chance_high: mean, 5 % and 95 % quantiles of R² of the permutations.
+    """
+    rows = []
+    for name, values in attributes.items():
+        known = np.isfinite(values).all(axis=0)
+        design, kept = (
+            one[:, known] - one[:, known].mean(axis=1, keepdims=True) for one in (places, values)
+        )
+        design, n = design.reshape(-1, 2), int(known.sum())
+        if math.factorial(n) <= max(draws, ALL_ORDERS):
+            orders = [np.array(order) for order in reorder(range(n))]
+        else:
+            orders = [np.arange(n), *(rng.permutation(n) for _ in range(draws))]
+        r2, slope = _explain(kept.ravel(), design)
+        tried = np.array([_explain(kept[:, order].ravel(), design)[0] for order in orders])
+        alike = np.array([np.allclose(kept[:, order], kept) for order in orders])
+        one, two = slope / (float(np.hypot(*slope)) or 1.0)
+        low, high = np.quantile(tried, [0.05, 0.95])
+        rows.append({
+            "property": name, "r2": r2, "p": float((tried >= r2 - ROUNDING).mean()), "p_least": float(alike.mean()),
+            "axis_1": one, "axis_2": two, "n": kept.size, "permutations": len(orders), "chance": float(tried.mean()),
+            "chance_low": float(low), "chance_high": float(high),
+        })  # fmt: skip
+    return rows
+
+
+def _explain(values: Values, design: Values) -> tuple[float, Values]:
+    """Explain centred values by least squares: R² and the slopes."""
+    slope = np.linalg.lstsq(design, values, rcond=None)[0]
+    left: Values = values - design @ slope
+    return 1 - float(left @ left) / float(values @ values), np.asarray(slope, dtype=np.float64)

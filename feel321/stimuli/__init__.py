@@ -5,7 +5,7 @@ Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce
 
 from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import Conditioning, condition
-from feel321.stimuli.formats.read import read_recording, read_recordings
+from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import (
     SpectralMatch,
     TemporalMatch,
@@ -62,7 +62,6 @@ __all__ = [
     "match",
     "psd",
     "read_recording",
-    "read_recordings",
     "read_stimuli",
     "read_wav",
     "reduce",

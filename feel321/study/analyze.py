@@ -12,7 +12,6 @@ import pandas as pd
 
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
-from feel321.analysis.screening.screen import find_rules
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.metrics import make_info
@@ -37,7 +36,7 @@ from feel321.study.settings.schema import AnalysisTable, Settings
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
-    from feel321.analysis.replication.claims import Paper
+    from feel321.analysis.replication import Paper
 
 Progress = Callable[[int, int], None]
 
@@ -71,7 +70,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             said = f"{study.settings.name} declares {', '.join(chosen.metrics)}."
             note = f"Metrics {', '.join(asked)} were asked for with this analysis; {said}"
             further = replace(further, notes=(*further.notes, note))
-        further = replace(further, labels=list_labels(settings))
         own = not (ratings or manifest)
         standing = make_standing(study, settings, metrics=asked, draws=draws, own=own)
         protocols = tuple(settings.session.protocols)
@@ -89,7 +87,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
             margin=chosen.margin,
             metrics=metrics or chosen.metrics,
             further=further,
-            rules=find_rules(chosen.screening, study.path),
             about=about,
             sources=list_origins(settings) if settings else {},
             info=list_info(settings) if settings else {},
@@ -165,15 +162,6 @@ def _write_dictionary(study: StudyFolder, settings: Settings) -> None:
     write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
 
 
-def list_labels(settings: Settings) -> pd.DataFrame:
-    """List what each recording is of, where that is said: columns interaction and sample, by recording."""
-    said = {
-        one.title: {"interaction": one.interaction, "sample": one.sample}
-        for one in settings.recordings
-    }
-    return pd.DataFrame.from_dict(said, orient="index").dropna(axis=1, how="all")
-
-
 def list_info(settings: Settings) -> dict[str, MetricInfo]:
     """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
     facts = {name: table.to_facts() for name, table in settings.metrics.items()}
@@ -185,7 +173,7 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Pa
     """Make the paper that the report answers; mountings: metrics over orientations of the sensor."""
     if (paper := settings.paper) is None:
         return None
-    from feel321.analysis.replication.claims import Paper, PaperClaim
+    from feel321.analysis.replication import Paper, PaperClaim
 
     claims = []
     for table in paper.claims:

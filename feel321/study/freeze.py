@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from feel321.study.settings.schema import Settings
 
 UNCOUNTED: Any = {
-    "study": {"name"}, "session": {"consent", "language"}, "recordings": True, "reducers": True, "formats": True,
+    "study": {"name"}, "session": {"consent", "language"}, "recordings": True, "reducers": True,
     "metrics": {"__all__": {"use", "command", "timeout_s", "label", "unit"}}, "observer": True, "stations": True,
     "paper": True, "publication": True,
 }  # fmt: skip
@@ -139,7 +139,7 @@ def list_settings(study: StudyFolder, settings: Settings, stimuli: StimulusSet) 
     from feel321.study.settings.read import CONSENT, read_study_texts
 
     found = dict(_flatten(settings.model_dump(mode="json", exclude=UNCOUNTED)))
-    for name in ("stimuli.reducers", "stimuli.metrics", "analysis.screening"):
+    for name in ("stimuli.reducers", "stimuli.metrics"):
         found[name] = [name_of(one) for one in found[name]]
     found["stimuli.reference"] = name_of(found["stimuli.reference"])
     # What participants read counts, but an ethics board may still reword the page of consent.
@@ -165,17 +165,15 @@ def _flatten(entry: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 
 def _list_code(settings: Settings, study: StudyFolder) -> Iterator[tuple[str, str]]:
-    """List the digests of the lab's own code: reducers, metrics, screening rules and protocols."""
-    from feel321.analysis.screening.screen import find_rules
+    """List the digests of the lab's own code: reducers, metrics and protocols."""
     from feel321.protocols.tasks import digest_protocols
     from feel321.study.settings.read import find_metric, make_recipe
 
-    rules = find_rules(settings.analysis.screening, study.path)
     code = [name for name, table in settings.metrics.items() if table.use or table.command]
     declared = [find_metric(settings, name, study.path) for name in code]
     own = [one for one in declared if not isinstance(one, str)]
-    for method in (*make_recipe(settings, study.path).methods, *own, *rules):
-        yield f"code.{method.kind.replace(' ', '_')}.{method.name}", method.sha256
+    for method in (*make_recipe(settings, study.path).methods, *own):
+        yield f"code.{method.kind}.{method.name}", method.sha256
     for name, sha256 in digest_protocols(settings.session.protocols).items():
         yield f"code.{name}", sha256
 

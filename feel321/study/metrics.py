@@ -140,7 +140,7 @@ def measure_rotations(
     wanted = settings.analysis.metrics if metrics is None else metrics
     # The first entry that differs from each in nothing but how the sensor was mounted.
     first: dict[str, str] = {}
-    own = {"name", "sample", "interaction", "picture", "rotation"}
+    own = {"name", "sample", "picture", "rotation"}
     copies = {
         entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
         for entry in settings.recordings

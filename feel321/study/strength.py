@@ -1,6 +1,6 @@
 """How strong the stimuli of a study are as its rig plays them: clipped, below threshold, or within reach.
 
-Works on what a build would make (`feel321.stimuli.sets.build.foresee_stimuli`), whether it was made yet or not.
+Works on what a build would make (`feel321.stimuli.sets.build.place_surveyed`), whether it was made yet or not.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence

@@ -38,7 +38,7 @@ from feel321.study.settings import read
 from feel321.study.settings.schema import Settings, count_groups
 
 Progress = Callable[[int, int], None]
-Seen = tuple[sets.Survey, NDArray[np.float64] | None]
+Seen = tuple[sets.Facts, NDArray[np.float64] | None]
 """What one look at a recording gave, and the covariance of its axes."""
 
 
@@ -113,7 +113,7 @@ def check_study(
         unusable = [f"{study.settings.name}: {error}"]
     own = None if unusable else recipe
     seen, problems = _examine(study, settings, own, progress=progress)
-    facts = [one.facts for one, _ in seen if one.facts]
+    facts = [one for one, _ in seen if not one.fault]
     unread = [one.fault for one, _ in seen if one.fault]
     rig, rigged = _check_rig(study, settings, now=now)
     found = Problems()
@@ -146,13 +146,10 @@ def check_study(
 
 
 def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the form of the lab's own reducers, metrics and screening rules, as far as that is quick."""
-    from feel321.analysis.screening.screen import find_rules, make_rule
+    """Check the form of the lab's own reducers and metrics, as far as that is quick."""
     from feel321.stimuli.conform import check_method
 
     methods = list_methods(settings, study.path)
-    for rule in find_rules(settings.analysis.screening, study.path):
-        make_rule(rule)
     return [
         f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
         for one in methods
@@ -175,15 +172,18 @@ def _examine(
         try:
             recording = source.read()
         except (OSError, TypeError, ValueError) as error:
-            seen.append((sets.Survey(None, {}, f"recording {source.name!r}: {error}"), None))
+            seen.append((
+                sets.Facts(source.name, fault=f"recording {source.name!r}: {error}"),
+                None,
+            ))
             continue
-        own, covariance = sets.Survey(sets.Facts.find(recording), {}), None
+        own, covariance = sets.Facts.find(recording), None
         try:
             if recipe is not None:
                 covariance = _try_recording(recording, recipe)
-                known = history[source.name].measured
+                known = history.get(source.name, ())
                 found = sets.survey_recording(recording, known, recipe=recipe)
-                own = found if found.facts else own
+                own = own if found.fault else found
                 faults += [found.fault] if found.fault else []
         except ValueError as error:
             faults.append(str(error))
@@ -209,7 +209,8 @@ def _foresee(
     study: StudyFolder, settings: Settings, seen: Sequence[Seen], *, recipe: Recipe, rig: Rig | None
 ) -> Problems:
     """Find out how strong stimuli are, how long a session takes, and, with a rig, how it brings them to the hand."""
-    foreseen = sets.place_surveyed([one for one, _ in seen], recipe)
+    placed = sets.place_surveyed([one for one, _ in seen], recipe)
+    foreseen = [one for own in placed.values() for one in own]
     is_built = study.manifest.exists()  # then its files are examined themselves
     found = strength.find_strength(settings, foreseen, recipe)
     found += Problems(tuple([] if is_built else strength.find_clipping(foreseen, recipe)))
@@ -218,7 +219,7 @@ def _foresee(
         Item(one.stimulus_id, one.recording, one.reducer, one.level, one.role) for one in foreseen
     ]
     crop_s = settings.stimuli.conditioning.crop_s
-    facts = [one.facts for one, _ in seen if one.facts]
+    facts = [one for one, _ in seen if not one.fault]
     durations = {one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in facts}
     try:
         length = measure_design(design, items, durations=durations, groups=groups)
@@ -230,7 +231,7 @@ def _foresee(
     if rig is None:
         return found
     limits = [] if is_built else strength.find_rig_limits(rig, foreseen, recipe.reference)
-    covariances = {one.facts.name: own for one, own in seen if one.facts and own is not None}
+    covariances = {one.name: own for one, own in seen if not one.fault and own is not None}
     reach = strength.find_reach(rig, covariances, recipe)
     problems, warnings, notes = (
         tuple(f"{study.rig.name}: {line}" for line in lines)

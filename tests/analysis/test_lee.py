@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from feel321.analysis.replication.claims import Paper, PaperClaim, answer_claims
+from feel321.analysis.replication import Paper, PaperClaim, answer_claims
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
 
 if TYPE_CHECKING:
-    from feel321.analysis.replication.claims import PaperAnswer
+    from feel321.analysis.replication import PaperAnswer
     from feel321.analysis.table.items import Table
 
 KEPT = {"saz321": 0.15, "mag321": 0.3, "soc321": 0.5, "pca321": 0.62, "dft321": 0.85, "original": 1.0}  # fmt: skip

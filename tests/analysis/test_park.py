@@ -11,8 +11,13 @@ from feel321.analysis.page import render_words
 from feel321.analysis.primary.model import fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells
 from feel321.analysis.primary.sensitivity import measure_excess
-from feel321.analysis.replication.claims import Paper, PaperAnswer, PaperClaim, answer_claims
-from feel321.analysis.replication.measures import explain_spread
+from feel321.analysis.replication import (
+    Paper,
+    PaperAnswer,
+    PaperClaim,
+    answer_claims,
+    explain_spread,
+)
 from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report import primary
 from feel321.analysis.resampling import Choices

@@ -1,10 +1,28 @@
 from __future__ import annotations
 
+import math
+from itertools import combinations
+from typing import TYPE_CHECKING
+
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import isotonic_regression
 
-from feel321.analysis.space import align_spaces, bootstrap_space, fit_space, refit_space
+from feel321.analysis.report.pairs import compute_space
+from feel321.analysis.resampling import Choices
+from feel321.analysis.space import (
+    align_spaces,
+    bootstrap_space,
+    fit_space,
+    gather_points,
+    refit_space,
+    regress_points,
+)  # fmt: skip
+from feel321.analysis.table.reading import read_table
+
+if TYPE_CHECKING:
+    from feel321.analysis.table.items import Table
 
 
 def apart(place: np.ndarray) -> np.ndarray:
@@ -107,4 +125,69 @@ def test_an_ellipse_by_its_definition() -> None:
         )
 
 
-GOOD = apart(np.random.default_rng(0).normal(size=(4, 2)))
+NAMES = ("saz321", "soc321", "mag321", "dft321", "pca321", "original")
+PLACES = np.array([[30, 0], [10, 20], [-25, 15], [-15, -25], [20, -20], [-20, 10.0]])
+PEOPLE, RECORDINGS = 15, 4
+
+
+@pytest.fixture(scope="module")
+def planted() -> Table:
+    """Judgements of 15 people of every pair of the planted places, on four recordings."""
+    rng = np.random.default_rng(0)
+    rows, stimuli = [], []
+    for recording in map(str, range(RECORDINGS)):
+        for number, name in enumerate(NAMES):
+            role = "reference" if name == "original" else "test"
+            about = (recording, name, role, *PLACES[number], rng.uniform())
+            stimuli.append((f"{recording}-{name}", *about))
+        for two, one in combinations(range(len(NAMES)), 2):
+            ids = (f"{recording}-{NAMES[one]}", f"{recording}-{NAMES[two]}")
+            felt = np.hypot(*(PLACES[one] - PLACES[two])) + rng.normal(0, 6, PEOPLE)
+            rows += [(f"p{who:02d}", *ids, rating) for who, rating in enumerate(felt.clip(0, 100))]
+    ratings = pd.DataFrame(rows, columns=["participant", "stimulus_id", "reference_id", "rating"])
+    ratings = ratings.assign(scale="dissimilarity", trial=range(1, len(rows) + 1))
+    columns = ["stimulus_id", "recording", "reducer", "role", "temporal_match", "roughness", "chance"]  # fmt: skip
+    manifest = pd.DataFrame(stimuli, columns=columns).assign(level="as_is")
+    manifest["temporal_match"] = 0.5 + manifest["temporal_match"] / 100
+    return read_table(ratings, manifest)
+
+
+def test_attributes_that_make_the_axes_are_found_and_chance_is_not(planted: Table) -> None:
+    rng = np.random.default_rng(2)
+    places, attributes = gather_points(planted.rows, planted.stimuli, rng=rng)
+    assert places.shape == (RECORDINGS, len(NAMES), 2)
+    found = pd.DataFrame(regress_points(places, attributes, draws=100, rng=rng)).set_index(
+        "property"
+    )
+    assert (found.loc[["temporal_match", "roughness"], "r2"] > 0.9).all()
+    # The original has no match of its own: five stimuli are permuted.
+    assert found.loc["temporal_match", "p"] <= 3 / 120
+    assert found.loc["roughness", "p"] <= 3 / 720
+    assert found.loc["chance", "r2"] < 0.5
+    # The planted attributes are orthogonal directions of the plane.
+    first, second = (
+        found.loc[name, ["axis_1", "axis_2"]] for name in ("temporal_match", "roughness")
+    )
+    assert abs(float(first.to_numpy(float) @ second.to_numpy(float))) < 0.25
+    # One original among six: its five others may be permuted at will.
+    assert found.loc["directions", "p_least"] == pytest.approx(1 / 6)
+
+
+def test_a_stimulus_without_a_number_is_left_out_of_that_attribute_only(planted: Table) -> None:
+    assert planted.stimuli is not None
+    stimuli = planted.stimuli.copy()
+    stimuli.loc[stimuli["role"] == "reference", "roughness"] = np.nan
+    rng = np.random.default_rng(3)
+    places, attributes = gather_points(planted.rows, stimuli, rng=rng)
+    found = pd.DataFrame(regress_points(places, attributes, draws=10, rng=rng)).set_index(
+        "property"
+    )
+    assert found["n"].to_dict() == {"temporal_match": 20, "chance": 24, "directions": 24, "roughness": 20}  # fmt: skip
+    assert found.loc["roughness", "permutations"] == math.factorial(5)
+
+
+def test_the_section_says_what_its_points_allow(planted: Table) -> None:
+    section = compute_space(planted, Choices(draws=5))
+    assert section.rows["space_attributes"]
+    assert any("cannot show an association of the axes with directions" in note for note in section.notes)  # fmt: skip
+    assert any("4 attributes are compared with 24 points" in note for note in section.notes)

@@ -126,14 +126,8 @@ def test_any_numeric_column_may_be_declared(files: Callable[..., object]) -> Non
 @pytest.mark.parametrize(
     ("metrics", "message"),
     [
-        (
-            ["loudness"],
-            "got no column 'loudness' as a metric; its numeric columns are spectral_match, temporal_match",
-        ),
-        (
-            ["reducer", "temporal_match"],
-            "got no numbers in column 'reducer' as a metric; its numeric columns are",
-        ),
+        (["loudness"], "got no column 'loudness' as a metric; its numeric columns are spectral_match, temporal_match"),
+        (["reducer", "temporal_match"], "got no numbers in column 'reducer' as a metric; its numeric columns are"),
         (["level"], "got no numbers in column 'level' as a metric"),
         (
             ["temporal_match", "temporal_match"],
@@ -141,7 +135,7 @@ def test_any_numeric_column_may_be_declared(files: Callable[..., object]) -> Non
         ),
         (["spectral_match_bounded"], "(build the set again, or use spectral_match)"),
     ],
-)
+)  # fmt: skip
 def test_metrics_that_a_manifest_does_not_have(
     files: Callable[..., object], metrics: list[str], message: str
 ) -> None:

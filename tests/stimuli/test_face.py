@@ -14,8 +14,6 @@ from scipy.signal.windows import hann
 from feel321 import stimuli
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from feel321.stimuli import Recording
 
 
@@ -100,23 +98,6 @@ def test_a_density_is_welchs_and_holds_the_energy_of_its_windows(n: int, window_
     window = hann(n, sym=False)
     energy = np.sum((samples * window) ** 2) / np.sum(window**2)
     assert whole.density.sum() * whole.frequencies_hz[1] == pytest.approx(energy, rel=1e-12)
-
-
-def test_a_folder_is_read_and_every_problem_is_reported_at_once(
-    scene: Recording, tmp_path: Path
-) -> None:
-    for name in ("b", "a"):
-        stimuli.write_wav(tmp_path / f"{name}.wav", scene.acceleration, 10_000)
-    (tmp_path / "notes.md").write_text("not a recording")
-    assert [one.name for one in stimuli.read_recordings(str(tmp_path), unit="g")] == ["a", "b"]
-    assert [one.name for one in stimuli.read_recordings([tmp_path / "b.wav"])] == ["b"]
-    (tmp_path / "c.csv").write_text("x,y\n1,2\n")
-    (tmp_path / "d.wav").write_bytes(b"")
-    with pytest.raises(ValueError, match=r"(?s)^c\.csv: .*\nd\.wav: .*$"):
-        stimuli.read_recordings(tmp_path)
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="holds no recording"):
-        stimuli.read_recordings(tmp_path / "empty")
 
 
 @pytest.mark.parametrize("level", [stimuli.felt_level, stimuli.sensation_level_db, stimuli.psd])

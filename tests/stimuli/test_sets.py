@@ -16,7 +16,15 @@ import pytest
 from feel321.files import hold_lock, write_bytes
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.build import BUILT, PARTS, build_stimuli, foresee_stimuli
+from feel321.stimuli.sets.build import (
+    BUILT,
+    PARTS,
+    Foreseen,
+    build_stimuli,
+    place_surveyed,
+    read_history,
+    survey_recording,
+)  # fmt: skip
 from feel321.stimuli.sets.manifest import COLUMN_UNITS, Stimulus, check_stimuli, read_stimuli
 from feel321.stimuli.sets.recipe import ANCHORS, GAINS, Recipe
 from feel321.stimuli.sets.render import Draft, Measured, choose_gains, find_headroom_cost
@@ -35,6 +43,12 @@ CONTRACT = [
     "spectral_match_bounded", "sensation_level_db", "temporal_match_windowed", "band_high_hz",
 ]  # fmt: skip
 BOTH = ("as_is", "equal_intensity")
+
+
+def foresee_stimuli(recordings: list[Recording], folder: Path, *, recipe: Recipe) -> list[Foreseen]:
+    known = read_history(folder)
+    facts = [survey_recording(one, known.get(one.name, ()), recipe=recipe) for one in recordings]
+    return [one for own in place_surveyed(facts, recipe).values() for one in own]
 
 
 @pytest.fixture(scope="module")
@@ -412,16 +426,10 @@ def test_a_set_whose_anchor_is_no_anchor_is_refused(
         ({"reference": "best"}, "must be one of original, none, sax321"),
         ({"rate_hz": 44100.5}, "whole number of Hz"),
         ({"headroom": 1.5}, "at most 1"),
-        (
-            {"gain": float("inf")},
-            "gain must be a finite number above 0, 'set' or 'per_recording'; got inf",
-        ),
-        (
-            {"threshold": "finger"},
-            "threshold must be one of contactor, grasped_stylus; got 'finger'",
-        ),
+        ({"gain": float("inf")}, "gain must be a finite number above 0, 'set' or 'per_recording', got inf"),
+        ({"threshold": "finger"}, "threshold must be one of contactor, grasped_stylus; got 'finger'"),
     ],
-)
+)  # fmt: skip
 def test_recipes_that_cannot_be_cooked_are_refused(
     changes: dict[str, object], message: str
 ) -> None:

@@ -95,39 +95,39 @@ def test_what_does_not_change_a_setting(smallest: StudyFolder) -> None:
     assert compare(type(smallest)(moved)) == {}
 
 
+FLAT = "def flat(acceleration, reduced, rate_hz):\n    return "
+
+
 def test_each_changed_setting_is_named_in_plain_words(smallest: StudyFolder) -> None:
     freeze(smallest)
-    (smallest.path / "slow.py").write_text("def slow(ratings):\n    return {}\n", encoding="utf-8")
+    (smallest.path / "flat.py").write_text(f"{FLAT}1.0\n", encoding="utf-8")
     change(smallest, "[session.quality]\nmin_response_s = 0.5\n")
     change(
         smallest,
-        "[analysis]\nscreening = ['slow.py:slow']\nmetrics = ['spectral_match_bounded']\nmargin = 4.0\n",
+        "[metrics.flat]\nuse = 'flat.py:flat'\n[analysis]\nmetrics = ['spectral_match_bounded']\nmargin = 4.0\n",
     )
     named = compare(smallest)
-    assert named["analysis.screening"] == "analysis.screening: was none, now slow"
     assert named["analysis.margin"] == "analysis.margin: was not set, now 4.0"
     rule = "session.quality.min_response_s"
     assert named[rule] == f"{rule}: was 0.2, now 0.5"
     assert named["analysis.metrics"].endswith(
         "was spectral_match_bounded, temporal_match, now spectral_match_bounded"
     )
-    assert named["code.screening_rule.slow"].startswith(
-        "code.screening_rule.slow: was not set, now "
-    )
+    assert named["code.metric.flat"].startswith("code.metric.flat: was not set, now ")
 
 
 def test_code_counts_and_not_where_it_lies(smallest: StudyFolder) -> None:
-    code, moved = smallest.path / "slow.py", smallest.path / "rules" / "slow.py"
+    code, moved = smallest.path / "flat.py", smallest.path / "own" / "flat.py"
     moved.parent.mkdir()
-    code.write_text("def slow(ratings):\n    return {}\n", encoding="utf-8")
-    change(smallest, "[analysis]\nscreening = ['slow.py:slow']\n")
+    code.write_text(f"{FLAT}1.0\n", encoding="utf-8")
+    change(smallest, "[metrics.flat]\nuse = 'flat.py:flat'\n")
     freeze(smallest)
     code.rename(moved)
     text = smallest.settings.read_text(encoding="utf-8")
-    smallest.settings.write_text(text.replace("slow.py:", "rules/slow.py:"), encoding="utf-8")
+    smallest.settings.write_text(text.replace("flat.py:", "own/flat.py:"), encoding="utf-8")
     assert compare(smallest) == {}
-    moved.write_text("def slow(ratings):\n    return {1: 2}\n", encoding="utf-8")
-    assert [*compare(smallest)] == ["code.screening_rule.slow"]
+    moved.write_text(f"{FLAT}2.0\n", encoding="utf-8")
+    assert [*compare(smallest)] == ["code.metric.flat"]
 
 
 def test_what_a_primary_metric_declares_counts(smallest: StudyFolder) -> None:

@@ -17,7 +17,7 @@ from feel321.analysis.agreement import find_ceiling
 from feel321.analysis.arrays import FLAT, PERFECT, Values
 from feel321.analysis.association.correlate import find_sign
 from feel321.analysis.resampling import weighted_ranks
-from feel321.analysis.table.items import Items, Table, choose_info, choose_metrics, make_items
+from feel321.analysis.table.items import Items, Table, choose_metrics, make_items
 from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
 
@@ -130,7 +130,8 @@ def rank_metrics(
     check_name(method, METHODS, "method")
     own = ratings.rivals if isinstance(ratings, Table) and metrics is None else ()
     given = choose_metrics(ratings, metrics or own or None)
-    items, info = make_items(ratings, given), info or choose_info(ratings)
+    items = make_items(ratings, given)
+    info = info or (ratings.info if isinstance(ratings, Table) else {})
     signs = np.array([find_sign(info, name) for name in given])
     items = replace(items, metrics=items.metrics * signs[:, None])
     names, items = _leave_flat(given, items, ranked=method == "spearman")

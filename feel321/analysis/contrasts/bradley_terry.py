@@ -27,15 +27,9 @@ if TYPE_CHECKING:
 
 TRIAL = ("first", "second", "winner")
 TIES = ("refuse", "half")
-COUNTED = 4
-"""Columns of a table of counts."""
-
-ORDER = "order"
-"""The term of being presented first."""
-
-EXTREME = 12.0
-"""A log odds of a pair beyond this is an estimate running away: one win in 160 000."""
-
+COUNTED = 4  # Columns of a table of counts
+ORDER = "order"  # The term of being presented first
+EXTREME = 12.0  # A log odds of a pair beyond this is an estimate running away: one win in 160 000
 STEPS = 60
 CLOSE = 1e-9
 RIDGE, LOOSE = 1e-10, 1e-9
@@ -103,15 +97,14 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     Notes
     -----
     Model: P(i beats j) = 1 / (1 + exp(-(λ_i - λ_j + o))), comparisons independent; o is the order effect, for
-    i presented first. It is a binomial regression without intercept on ±1 contrasts, fitted by Newton's
-    method. Estimates are finite exactly if, however the items are parted in two, each part won against the other
-    (Ford 1957). Half wins for ties keep the estimates sensible, but errors
-    are then those of as many decided comparisons.
+    i presented first: a binomial regression without intercept on ±1 contrasts, fitted by Newton's method. Estimates
+    are finite exactly if, however the items are parted in two, each part won against the other (Ford 1957). With half
+    wins for ties, errors are those of as many decided comparisons.
 
     Comparisons of one rater are not independent: the plain errors are too small for a panel, and those by rater are
     for conclusions. With U raters and λ* an ability in a draw, se = √(U/(U - 1)) SD(λ*) and the interval is
     λ ± t(.975, U - 1) se. Draws in which an item always wins or loses, or meets no other, have no estimate; where they
-    are more than a tenth, there is no interval, and a note says so. These stimuli are taken as the only ones.
+    are more than a tenth, there is no interval. These stimuli are taken as the only ones.
 
     References
     ----------
@@ -146,36 +139,34 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     if not 0 <= prior < np.inf:
         raise ValueError(f"prior must be 0 or more, got {prior}; 0.5 is usual")
     # Items are names, even where a table holds numbers.
-    base = check_name(
-        duels.items[0] if reference is None else str(reference), duels.items, "reference"
-    )
+    base = check_name(str(reference or duels.items[0]), duels.items, "reference")
     if order_effect and "loser" in pairs:
         raise ValueError(
-            "order_effect needs pairs that say which was presented first, got others; leave it out"
+            "order_effect needs pairs that say which was presented first; leave it out"
         )
     wins, place = duels.wins + prior, duels.items.index(base)
     design, names = _build_design(duels, place, order_effect=order_effect)
     (beta,), (curvature,), (is_astray,) = _fit_many(wins[None], design)
+    worst = names[int(np.abs(beta).argmax())]
     if is_astray:
-        worst = names[int(np.abs(beta).argmax())]
+        must = "pairs must have no separation: each item must win and lose, through others at least"
         raise ValueError(
-            f"pairs must have no separation, but the estimate of '{worst}' runs away, or nothing ties an item to the "
-            "others: each must win and lose, through others at least; gather more comparisons, or use prior=0.5"
+            f"{must}; the estimate of '{worst}' runs away: gather more, or use prior=0.5"
         )
     errors, freedom = np.sqrt(np.linalg.inv(curvature).diagonal()), np.inf
     source = "95 % Wald interval, comparisons taken for independent"
-    notes = [f"{n_ties} ties count half a win for each."] if n_ties else []
+    notes = [f"{n_ties} ties count half a win for each."] * bool(n_ties)
     if prior:
         notes.append(
-            f"{prior:g} wins are added to both sides of every row; abilities are shrunken."
+            f"{prior:g} wins are added to both sides of every row: abilities are shrunken."
         )
     if people is not None:
+        freedom, source = people[kept].max(), "95 % bootstrap interval over raters"
+        weights = draw_counts(freedom + 1, draws, rng=as_rng(rng))
         everyone, met = _count_by_rater(rows, people[kept])
         design_met, _ = _build_design(met, place, order_effect=order_effect)
-        weights = draw_counts(len(everyone), draws, rng=as_rng(rng))
         drawn, _, astray = _fit_many(np.einsum("dr,rps->dps", weights, everyone), design_met)
         drawn[astray] = np.nan
-        freedom, source = len(everyone) - 1, "95 % bootstrap interval over raters"
         errors, more = _find_errors(drawn, len(everyone))
         notes += more
     deviance, likelihood = _judge_fit(wins, design @ beta)
@@ -214,9 +205,8 @@ def _find_errors(drawn: Values, n_raters: int) -> tuple[Values, list[str]]:
     margins = np.array([bootstrap_margin(column, n_raters) for column in drawn.T])
     lost, draws, notes = int(np.isnan(drawn).any(axis=1).sum()), len(drawn), list[str]()
     if lost:
-        notes.append(
-            f"In {lost} of {draws} draws an item always won or lost, or met no other; they are left out."
-        )
+        why = "an item always won or lost, or met no other"
+        notes.append(f"In {lost} of {draws} draws {why}; they are left out.")
     if np.isnan(margins).any():
         few = "too many draws have no estimate; ask for more comparisons per rater"
         alike = "all draws gave the same, so that nothing shows how raters differ"
@@ -235,13 +225,11 @@ def _build_design(duels: Duels, base: int, *, order_effect: bool) -> tuple[Value
         return design, names
     if ORDER in duels.items:
         raise ValueError(
-            f"pairs must not have an item named '{ORDER}', the name of the order effect; rename it"
+            f"pairs must not have an item named '{ORDER}', the order effect; rename it"
         )
     design = np.column_stack([design, np.ones(len(design))])
     if np.linalg.matrix_rank(design) < design.shape[1]:
-        raise ValueError(
-            "order_effect needs pairs in both orders, got pairs always presented in one order; leave it out"
-        )
+        raise ValueError("order_effect needs pairs presented in both orders; leave it out")
     return design, [*names, ORDER]
 
 
@@ -284,32 +272,28 @@ def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_]
     from pandas import DataFrame
 
     if not isinstance(pairs, DataFrame):
-        raise TypeError(
-            f"pairs must be a pandas DataFrame, one row per pair or trial, got {type(pairs).__name__}"
-        )
+        got = type(pairs).__name__
+        raise TypeError(f"pairs must be a pandas DataFrame, one row per pair or trial, got {got}")
     check_name(ties, TIES, "ties")
     n_ties, columns = 0, list(pairs.columns)
     if "winner" in pairs:
-        is_ordered = "loser" not in pairs
-        columns = [*TRIAL] if is_ordered else ["winner", "loser"]
+        columns = ["winner", "loser"] if "loser" in pairs else [*TRIAL]
         check_columns(pairs, columns, "pairs")
     elif len(columns) < COUNTED:
-        raise ValueError(
-            f"pairs must have the columns {', '.join(TRIAL)}, or two names and two counts, got {', '.join(columns)}"
-        )
-    names = _read_names(pairs, columns[:2])
+        must = f"the columns {', '.join(TRIAL)}, or two names and two counts"
+        raise ValueError(f"pairs must have {must}, got {', '.join(columns)}")
+    names = sides = _read_names(pairs, columns[:2])
     if "winner" not in pairs:
         wins = _read_counts(pairs[columns[2:COUNTED]])
-    elif is_ordered:
+    elif "loser" not in pairs:
         wins, n_ties = _read_winners(pairs, names, ties)
     else:
-        sides, names = names, np.sort(names, axis=1)
+        names = np.sort(names, axis=1)
         wins = (names == sides[:, :1]).astype(np.float64)
     same = names[:, 0] == names[:, 1]
     if same.any():
-        raise ValueError(
-            f"pairs must be of two items, got '{names[same][0, 0]}' against itself; leave such rows out"
-        )
+        got = f"got '{names[same][0, 0]}' against itself; leave such rows out"
+        raise ValueError(f"pairs must be of two items, {got}")
     met = wins.sum(axis=1) > 0  # a pair that never met says nothing
     if not met.any():
         raise ValueError("pairs must hold a comparison or more, got no win in any row")
@@ -321,10 +305,8 @@ def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_]
 def _read_names(pairs: DataFrame, columns: list[str]) -> Names:
     for column in columns:
         if missing := int(pairs[column].isna().sum()):
-            raise ValueError(
-                f"pairs must name an item in column '{column}', got {missing} rows without a name; name or leave "
-                "them out"
-            )
+            got = f"got {missing} rows without a name; name or leave them out"
+            raise ValueError(f"pairs must name an item in column '{column}', {got}")
     return np.stack([pairs[one].astype(str).to_numpy(dtype=np.str_) for one in columns], axis=1)
 
 
@@ -334,25 +316,22 @@ def _read_winners(pairs: DataFrame, names: Names, ties: str) -> tuple[Values, in
     wins = (names == winner[:, None]).astype(np.float64)
     undecided = ~wins.any(axis=1)
     if (strangers := winner[undecided & (winner != "tie")]).size:
-        raise ValueError(
-            f"pairs must have the row's first or second, or 'tie', as winner, got the winner '{strangers[0]}'"
-        )
+        must = "the row's first or second, or 'tie', as winner"
+        raise ValueError(f"pairs must have {must}, got the winner '{strangers[0]}'")
     if undecided.any() and ties == "refuse":
-        raise ValueError(
-            f"pairs must have a winner, got {int(undecided.sum())} ties; leave them out, or count them with ties='half'"
-        )
+        how = "leave them out, or count them with ties='half'"
+        raise ValueError(f"pairs must have a winner, got {int(undecided.sum())} ties; {how}")
     wins[undecided] = 0.5
     return wins, int(undecided.sum())
 
 
 def _read_counts(columns: DataFrame) -> Values:
+    names = " and ".join(map(str, columns.columns))
     try:
         wins = columns.to_numpy(dtype=np.float64)
     except (TypeError, ValueError):
-        names = " and ".join(map(str, columns.columns))
         raise ValueError(f"pairs must hold counts of wins, got text in columns {names}") from None
     if not (np.isfinite(wins) & (wins >= 0)).all():
-        raise ValueError(
-            "pairs must hold counts of wins from 0, got a count of wins that is negative or not finite"
-        )
+        got = "got a count of wins that is negative or not finite"
+        raise ValueError(f"pairs must hold counts of wins from 0, {got}")
     return wins

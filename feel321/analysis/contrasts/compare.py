@@ -57,10 +57,9 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     Notes
     -----
     H0: the true value is at `low` or below, or at `high` or above. t_low = (estimate - low)/se and t_high =
-    (estimate - high)/se, each against t(df), one-sided; p is the larger, and no correction is due because
-    both must be rejected. A difference that is not significant is *not* evidence of equivalence, and an
-    estimate may be both different from 0 and equivalent. An estimate without a standard error (a singular
-    fit) proves nothing and is refused.
+    (estimate - high)/se, each against t(df), one-sided; p is the larger, and no correction is due because both must be
+    rejected. A difference that is not significant is *not* evidence of equivalence, and an estimate may be both
+    different from 0 and equivalent. One without a standard error (a singular fit) is refused.
 
     References
     ----------
@@ -103,17 +102,15 @@ def non_inferiority(estimate: float, se: float, df: float, *, margin: float) -> 
     """Test whether an estimate is not worse than a margin (Piaggio et al. 2012, doi 10.1001/jama.2012.87802).
 
     estimate: the cheaper reducer's rating minus the dearer one's; margin: the worst difference that is still accepted,
-    fixed before seeing data: negative where higher is better, positive where lower is better. Gives ``estimate``, ``t``
-    and ``p`` against the margin, one-sided, ``bound``, the 95 % bound on the side of harm, ``margin``,
-    ``non_inferior``. It is one half of `equivalence`: a cheaper reducer may be better without limit.
+    fixed before seeing data: negative where higher is better, positive where lower is better. Gives ``t`` and ``p``
+    against the margin, one-sided, ``bound``, the 95 % bound on the side of harm, and ``non_inferior``. It is one half
+    of `equivalence`: a cheaper reducer may be better without limit.
     """
     from scipy.stats import t
 
     _check_numbers(estimate, se, df, margin=margin)
     if not margin:
-        raise ValueError(
-            "margin must be below 0 where higher is better, above 0 where lower is better, got 0"
-        )
+        raise ValueError("margin must be below 0 where higher is better, else above 0, got 0")
     away = -math.copysign(1.0, margin)
     statistic = (estimate - margin) / se
     p = float(t.sf(away * statistic, df))
@@ -134,8 +131,7 @@ def _check_numbers(estimate: float, se: float, df: float, **limits: float) -> No
         raise ValueError(f"df must be above 0, infinity for a normal estimate, got {df}")
 
 
-GROUP = ["scale", "level", "role", "reducer"]
-"""What a profile is split by."""
+GROUP = ["scale", "level", "role", "reducer"]  # What a profile is split by
 
 
 def participant_means(ratings: Table | DataFrame) -> DataFrame:
@@ -173,9 +169,8 @@ def _read_rows(ratings: Table | DataFrame, names: list[str]) -> DataFrame:
     rows, _ = leave_rejected(table)
     values = read_numbers(rows["rating"], what="ratings, 'rating'")
     if n := int((rows[names].isna().any(axis=1) | ~np.isfinite(values)).sum()):
-        raise ValueError(
-            f"ratings must have {', '.join(names)} and a finite rating in each row, got {n} without; leave them out"
-        )
+        must = f"ratings must have {', '.join(names)} and a finite rating in each row"
+        raise ValueError(f"{must}, got {n} without; leave them out")
     return rows.assign(rating=values)
 
 
@@ -319,11 +314,10 @@ def compare_terms(fit: MixedFit, terms: Sequence[str]) -> Statistic:
     turned = np.linalg.eigh(covariance)[1].T @ basis
     found = [contrast(fit, dict(zip(terms, weights.tolist(), strict=True))) for weights in turned]
     f, df_1 = float(np.mean([one.t**2 for one in found])), float(len(found))
-    expected = sum(one.df / (one.df - 2) if one.df > 2 else np.inf for one in found)  # noqa: PLR2004 - F has a mean above
-    df_2 = (
-        2 * expected / (expected - df_1) if np.isfinite(expected) else min(one.df for one in found)
-    )
-    df_2 = found[0].df if len(found) == 1 else df_2
+    df_2 = min(one.df for one in found)
+    if df_2 > 2 and len(found) > 1:  # noqa: PLR2004 - F has a mean above
+        expected = sum(one.df / (one.df - 2) for one in found)
+        df_2 = 2 * expected / (expected - df_1)
     p = float(fisher.sf(f, df_1, df_2))
     return Statistic("JointTest", statistic=f, df_1=df_1, df_2=float(df_2), p=p)
 
@@ -331,7 +325,6 @@ def compare_terms(fit: MixedFit, terms: Sequence[str]) -> Statistic:
 def _write_formula(cells: DataFrame) -> str:
     """Write the model; a spread that has one row per level is in the residual already."""
     sizes = {name: len(cells.drop_duplicates(columns)) for name, columns in GROUPS.items()}
-    kept = [name for name, size in sizes.items() if 1 < size < len(cells)]
     dropped: tuple[str, ...] = ()
     if sizes["recording"] == 1:
         dropped += ("item", "participant:recording")
@@ -339,9 +332,8 @@ def _write_formula(cells: DataFrame) -> str:
         dropped += ("source", "source:which")
     if sizes["participant"] == 1:
         dropped += ("participant", "participant:recording", "participant:which")
-    if not (kept := [name for name in kept if name not in dropped]):
-        raise ValueError(
-            "ratings must be of several participants or recordings, got one of each: "
-            "nothing is left to judge a difference by"
-        )
+    kept = [name for name, n in sizes.items() if 1 < n < len(cells) and name not in dropped]
+    if not kept:
+        must = "ratings must be of several participants or recordings, got one of each"
+        raise ValueError(f"{must}: nothing is left to judge a difference by")
     return " + ".join(["rating ~ 0 + which", *(f"(1 | {name})" for name in kept)])

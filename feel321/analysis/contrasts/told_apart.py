@@ -26,12 +26,8 @@ if TYPE_CHECKING:
 
     from pandas import DataFrame
 
-GUESSING = 0.5
-"""Share that comes out right by guessing."""
-
-LARGEST = 12.0
-"""From here on a d' is perfect to rounding: an error in 10^6 trials or fewer."""
-
+GUESSING = 0.5  # Share that comes out right by guessing
+LARGEST = 12.0  # From here on a d' is perfect to rounding: an error in 10^6 trials or fewer
 SPREADS: Mapping[str, float] = MappingProxyType({
     "independent": 2.0,
     "differencing": float(np.sqrt(6)),
@@ -39,8 +35,7 @@ SPREADS: Mapping[str, float] = MappingProxyType({
 """Observer's model -> divisor of d' in the second factor of the share correct; the first is always √2."""
 
 EVERY = "all reducers"
-LEAST = 2
-"""Participants that an interval needs."""
+LEAST = 2  # Participants that an interval needs
 
 
 @overload
@@ -81,10 +76,9 @@ def discriminate(
         independent observations   Φ(d'/√2) Φ(d'/2)  + Φ(-d'/√2) Φ(-d'/2)
         differencing               Φ(d'/√2) Φ(d'/√6) + Φ(-d'/√2) Φ(-d'/√6)
 
-    Which of the two people use is not known from shares alone; with A and B fixed over many trials the first
-    is likely, when the pair roves the second. Ends of the interval of d' are the d' of the ends of Wilson's
-    interval. Trials are taken for independent: pooled over people, the interval is about these people. A
-    share below .5 has d' 0. The pooled d' is smaller than the mean d' when pairs differ in difficulty.
+    Which of the two people use is not known from shares alone; with A and B fixed over many trials the first is likely,
+    when the pair roves the second. Ends of the interval of d' are the d' of the ends of Wilson's interval. Trials are
+    taken for independent: pooled over people, the interval is about these people. A share below .5 has d' 0.
 
     References
     ----------
@@ -107,9 +101,8 @@ def discriminate(
     n_trials = 0 if n_trials is None else n_trials
     whole = all(float(count).is_integer() for count in (n_correct, n_trials))
     if not whole or not 0 <= n_correct <= n_trials or n_trials < 1:
-        raise ValueError(
-            f"n_correct must be 0 to n_trials, of 1 or more trials, got {n_correct} of {n_trials}"
-        )
+        got = f"got {n_correct} of {n_trials}"
+        raise ValueError(f"n_correct must be 0 to n_trials, of 1 or more trials, {got}")
     test = binomtest(int(n_correct), int(n_trials), GUESSING, alternative="greater")
     both = binomtest(int(n_correct), int(n_trials), GUESSING)
     wilson, exact = (both.proportion_ci(CONFIDENCE, method) for method in ("wilson", "exact"))
@@ -135,10 +128,12 @@ def _tabulate(trials: Table | DataFrame) -> DataFrame:
 
     rows = open_ratings(trials, what="trials")
     if "scale" not in rows:
-        return pd.DataFrame([
-            dict(zip(("first", "second"), pair or ("all", "all"), strict=True)) | dict(one)
-            for pair, one in discriminate_pairs(rows).items()
-        ])
+        found = discriminate_pairs(rows).items()
+        pairs = (
+            (dict(zip(("first", "second"), key or ("all", "all"), strict=True)), one)
+            for key, one in found
+        )
+        return pd.DataFrame([keys | dict(one) for keys, one in pairs])
     check_columns(rows, ["level", "reducer", "role", "rating"], "ratings")
     answers = rows[(rows["scale"] == ANSWERED) & (rows["role"] != "reference")]
     return pd.DataFrame([
@@ -152,41 +147,26 @@ def discriminate_pairs(trials: DataFrame) -> dict[tuple[str, str] | None, Statis
     """Evaluate ABX trials pair by pair, in alphabetical order; None -> all trials pooled."""
     check_columns(trials, ["first", "second", "correct"], "trials")
     if trials.empty or trials[["first", "second"]].isna().any(axis=None):
-        raise ValueError(
-            "trials must be one row or more that name first and second, got none, or a row that does not; leave it out"
-        )
+        raise ValueError("trials must be one row or more that name first and second")
     names = np.sort(trials[["first", "second"]].astype(str).to_numpy(dtype=np.str_), axis=1)
     if len(alike := names[names[:, 0] == names[:, 1]]):
-        raise ValueError(
-            f"trials must be of two stimuli, got '{alike[0, 0]}' against itself; leave such rows out"
-        )
+        got = f"got '{alike[0, 0]}' against itself; leave such rows out"
+        raise ValueError(f"trials must be of two stimuli, {got}")
     odd = trials.loc[~trials["correct"].isin([True, False]), "correct"]
     if len(odd):
-        raise ValueError(
-            f"trials must hold true or false in column 'correct', got {odd.iloc[0]!r}; leave lapses out"
-        )
+        got = f"got {odd.iloc[0]!r}; leave lapses out"
+        raise ValueError(f"trials must hold true or false in column 'correct', {got}")
     correct = trials["correct"].to_numpy().astype(np.int64)
     pairs, number = np.unique(names, axis=0, return_inverse=True)
-    parts = [correct[number.ravel() == place] for place in range(len(pairs))]
-    keys: list[tuple[str, str] | None] = [(str(first), str(second)) for first, second in pairs]
-    return {
-        key: discriminate(int(part.sum()), len(part))
-        for key, part in zip([*keys, None], [*parts, correct], strict=True)
-    }
+    found: dict[tuple[str, str] | None, Statistic] = {}
+    for place, (first, second) in enumerate(pairs):
+        part = correct[number.ravel() == place]
+        found[str(first), str(second)] = discriminate(int(part.sum()), len(part))
+    return found | {None: discriminate(int(correct.sum()), len(correct))}
 
 
 def abx_d_prime(share: float, *, model: str = "independent") -> float:
-    """Find d' at which an unbiased observer reaches a share correct in ABX trials; 0 for .5 or less, infinity for 1.
-
-    Examples
-    --------
-    An observer with hits .75 and false alarms .3, freed of bias:
-
-    >>> from scipy.stats import norm
-    >>> unbiased = norm.cdf((norm.ppf(0.75) - norm.ppf(0.3)) / 2)
-    >>> round(abx_d_prime(unbiased), 2), round(abx_d_prime(unbiased, model="differencing"), 2)
-    (1.66, 1.87)
-    """
+    """Find d' at which an unbiased observer reaches a share correct in ABX trials; 0 for .5 or less, infinity for 1."""
     from scipy.optimize import brentq
     from scipy.stats import norm
 
@@ -216,19 +196,16 @@ def compare_with_original(rows: DataFrame) -> DataFrame:
     apart = paired[(paired["role"] == TEST) & whole]
     if same.empty or apart.empty:
         lack = "identical pairs" if same.empty else "pairs with the original"
-        raise ValueError(
-            f"dissimilarities must hold pairs with the original and identical ones, got no {lack}"
-        )
+        must = "dissimilarities must hold pairs with the original and identical ones"
+        raise ValueError(f"{must}, got no {lack}")
     names = order_reducers(apart["reducer"])
-    found = [
-        {"reducer": name, **tell_apart(apart[apart["reducer"] == name], same)} for name in names
-    ]
-    holm = adjust_holm([one["p"] for one in found])
-    listed = [one | {"p_holm": p} for one, p in zip(found, holm, strict=True)]
+    told = {name: tell_apart(apart[apart["reducer"] == name], same) for name in names}
+    holm = adjust_holm([one["p"] for one in told.values()])
+    found = [{"reducer": k, **told[k], "p_holm": p} for k, p in zip(names, holm, strict=True)]
     if len(found) > 1:
         every = tell_apart(apart, same)
-        listed.append({"reducer": EVERY, **every, "p_holm": every.p})
-    return DataFrame(listed)
+        found.append({"reducer": EVERY, **every, "p_holm": every.p})
+    return DataFrame(found)
 
 
 def tell_apart(apart: DataFrame, same: DataFrame) -> Statistic:
@@ -243,34 +220,24 @@ def tell_apart(apart: DataFrame, same: DataFrame) -> Statistic:
 
     people = sorted(set(apart["participant"]) & set(same["participant"]))
     if len(people) < LEAST:
-        raise ValueError(
-            f"a comparison with identical pairs needs {LEAST} participants who rated both, got {len(people)}"
-        )
+        must = f"a comparison with identical pairs needs {LEAST} participants who rated both"
+        raise ValueError(f"{must}, got {len(people)}")
     gaps, areas = [], []
     for who in people:
-        far, near = (
-            part.loc[part["participant"] == who, "rating"].to_numpy(np.float64)
-            for part in (apart, same)
-        )
+        rated = (part.loc[part["participant"] == who, "rating"] for part in (apart, same))
+        far, near = (ratings.to_numpy(np.float64) for ratings in rated)
         gaps.append(far.mean() - near.mean())
         # The area under the ROC curve: the chance that one of far is above one of near.
         areas.append(0.5 + np.sign(far[:, None] - near[None, :]).mean() / 2)
     mean, error, reach, p = _test(gaps)
     area, spread, _, _ = _test(areas)
-    ends = {
-        "area": area,
-        "area_low": max(0.0, area - reach * spread),
-        "area_high": min(1.0, area + reach * spread),
-    }
-    d_primes = {
-        name.replace("area", "d_prime"): float(math.sqrt(2) * norm.ppf(end))
-        for name, end in ends.items()
-    }
+    low, high = max(0.0, area - reach * spread), min(1.0, area + reach * spread)
+    d_prime, d_low, d_high = (float(math.sqrt(2) * norm.ppf(end)) for end in (area, low, high))
     statistic = mean / error if error else math.copysign(math.inf, mean) if mean else math.nan
     return Statistic(
         "ToldApart", difference=mean, low=mean - reach * error, high=mean + reach * error, t=statistic,
-        df=float(len(people) - 1), p=p, **ends, **d_primes, n_participants=len(people), n_judgements=len(apart),
-        n_identical=len(same),
+        df=float(len(people) - 1), p=p, area=area, area_low=low, area_high=high, d_prime=d_prime, d_prime_low=d_low,
+        d_prime_high=d_high, n_participants=len(people), n_judgements=len(apart), n_identical=len(same),
     )  # fmt: skip
 
 

@@ -2,15 +2,7 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Collection, Iterable, Mapping
-
-NAMED = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-RESERVED = frozenset({
-    "if", "else", "repeat", "while", "function", "for", "next", "break", "in", "TRUE", "FALSE", "NULL", "Inf", "NaN",
-    "NA",
-})  # fmt: skip
-"""Words that R reads as its own: as a column's name they need quoting."""
+from collections.abc import Iterable
 
 PENALISED = """\
 # Few reducers: their spread would often be estimated as 0 when it is only unknown. As feel321 does, -2 log(SD of the
@@ -34,33 +26,11 @@ lmer_penalised <- function(formula, data, group) {
 """
 
 
-def make_r_name(name: str, taken: Collection[str] = (), *, ends: Collection[str] = ("",)) -> str:
-    """Make a name that R, JASP and a formula take as it stands: ASCII letters, digits and underscores.
-
-    It is none of those taken with any of the ends; upper and lower case are not told apart, as in names of files.
-    """
-    plain = re.sub(r"[^A-Za-z0-9_]", "_", name)
-    plain = plain if NAMED.fullmatch(plain) else f"x{plain}"
-    plain = f"{plain}_" if plain in RESERVED else plain
-    used = {one.casefold() for one in taken}
-    names = [plain, *(f"{plain}_{number}" for number in range(2, len(used) + 3))]
-    return next(one for one in names if not any(f"{one}{end}".casefold() in used for end in ends))
-
-
 def write_r_string(text: str) -> str:
     """Quote text for R, in ASCII."""
     quoted = text.replace("\\", "\\\\").replace('"', '\\"')
     letters = (c if c.isascii() and c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
     return f'"{"".join(letters)}"'.replace("\\U0000", "\\u")
-
-
-def rename_terms(formula: str, names: Mapping[str, str]) -> str:
-    """Rename the columns of a formula; a name in backquotes loses them."""
-    return re.sub(
-        r"`([^`]+)`|\b([^\W\d]\w*)\b",
-        lambda match: names.get(match[1] or match[2], match[0]),
-        formula,
-    )
 
 
 def write_fit(formula: str, data: str, *, penalty: Iterable[str] = ()) -> str:

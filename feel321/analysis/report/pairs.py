@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +12,13 @@ from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
-from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, LABELS, PAIRED
+from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, PAIRED
 from feel321.analysis.words import format_count, format_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.maps import Points
+    from feel321.analysis.arrays import Values
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.records import Statistic
@@ -233,8 +233,8 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
 
 # Dissimilarities: the perceptual map, and what its axes are associated with.
 
-DRAWS, MAP_DRAWS = 200, 100
-"""Maps drawn anew, of all recordings and of each group of them; each takes a fit."""
+DRAWS = 200
+"""Maps drawn anew; each takes a fit."""
 
 
 def compute_space(table: Table, choices: Choices) -> Found:
@@ -251,20 +251,6 @@ def compute_space(table: Table, choices: Choices) -> Found:
         rng = choices.make_rng("space", level, "stress")
         return names, ellipses, spaces.stress_by_dimension(matrices, rng=rng)
 
-    def relate(level: str, ellipses: Statistic, names: Sequence[str]) -> Statistic:
-        """Compare the map with the metrics of its stimuli."""
-        rated = table.rows[table.rows["level"] == level].drop_duplicates("stimulus_id")
-        means = rated.groupby("reducer", observed=True)[list(table.metrics)].mean()
-        attributes = means.reindex(list(names))
-        known = attributes.notna().all(axis=1).to_numpy()
-        metrics = attributes[known]
-        metrics = metrics.loc[:, metrics.std() > 0]
-        scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
-        rng = choices.make_rng("space", level, "procrustes")
-        return spaces.align_spaces(
-            ellipses.space.positions[known], scaled, permutations=choices.draws, rng=rng
-        )
-
     for level in sorted(dissimilar["level"].unique()):
         mapped = found.attempt(f"{PAIRED}, {level}: no map.", fit, level)
         if mapped is None:
@@ -276,7 +262,7 @@ def compute_space(table: Table, choices: Choices) -> Found:
         sizes = ({"dimensions": n, "stress": value} for n, value in enumerate(stress, start=1))
         found.add("space_stress", sizes, **keys)
         lead = f"{PAIRED}, {level}: the map is compared with nothing else."
-        one = found.attempt(lead, relate, level, ellipses, names)
+        one = found.attempt(lead, _relate, table, ellipses, names, level=level, choices=choices)
         if one is not None:
             note = f"{one.permutations} pairings"
             found.add("space_metrics", [one], note=note, **keys)
@@ -284,7 +270,43 @@ def compute_space(table: Table, choices: Choices) -> Found:
             told = {"level": level, "r": one.correlation, "p": one.p, "shown": shown}
             found.facts["parts"].append(told)
             found.claim(one=told)
+        lead = f"{PAIRED}, {level}: axes are not compared with attributes."
+        own = dissimilar[dissimilar["level"] == level]
+        rows = found.attempt(lead, _regress, found, table, own, level=level, choices=choices)
+        found.add("space_attributes", rows or [], level=level)
     return found
+
+
+def _relate(
+    table: Table, ellipses: Statistic, names: Sequence[str], *, level: str, choices: Choices
+) -> Statistic:
+    """Compare the map with the metrics of its stimuli."""
+    from feel321.analysis.space import align_spaces
+
+    rated = table.rows[table.rows["level"] == level].drop_duplicates("stimulus_id")
+    means = rated.groupby("reducer", observed=True)[list(table.metrics)].mean()
+    attributes = means.reindex(list(names))
+    known = attributes.notna().all(axis=1).to_numpy()
+    metrics = attributes[known]
+    metrics = metrics.loc[:, metrics.std() > 0]
+    scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
+    rng = choices.make_rng("space", level, "procrustes")
+    places = ellipses.space.positions[known]
+    return align_spaces(places, scaled, permutations=choices.draws, rng=rng)
+
+
+def _regress(
+    found: Found, table: Table, rows: DataFrame, *, level: str, choices: Choices
+) -> list[Row]:
+    """Regress the attributes of stimuli on the axes of the recordings' maps."""
+    from feel321.analysis.space import gather_points, regress_points
+
+    rng, draws = choices.make_rng("space", level, "attributes"), min(choices.draws, 1000)
+    places, known = gather_points(rows, table.stimuli, rng=rng)
+    attributes: list[Row] = regress_points(places, known, draws=draws, rng=rng)
+    _adjust(attributes, table.metrics)
+    found.notes += [f"{PAIRED}, {level}: {note}" for note in _note_points(places, attributes)]
+    return attributes
 
 
 def _list_places(
@@ -299,59 +321,6 @@ def _list_places(
         yield row
 
 
-# Maps of groups of recordings: interactions and surfaces.
-
-
-def compute_maps(table: Table, choices: Choices) -> Found:
-    """Map dissimilarities per interaction and surface, beside the map of all recordings."""
-    from feel321.analysis import maps
-
-    found = Found(key="maps", facts={"parts": []})
-    rows = table.rows[table.rows["scale"] == PAIRED]
-
-    def regress(own: DataFrame, whole: Any, rng: np.random.Generator) -> list[Row]:  # noqa: ANN401 - a map
-        points = maps.gather_points(own, table.stimuli, whole, rng=rng)
-        attributes: list[Row] = maps.regress_points(points, draws=min(choices.draws, 1000), rng=rng)
-        _adjust(attributes, table.metrics)
-        found.notes += [f"{lead}: {note}" for note in _note_points(points, attributes)]
-        return attributes
-
-    for level in sorted(map(str, rows["level"].unique())):
-        own, lead = rows[rows["level"] == level], f"{PAIRED}, {level}"
-        rng, draws = choices.make_rng("maps", level), min(MAP_DRAWS, max(choices.draws, 3))
-        groups = found.attempt(
-            f"{lead}: no maps of groups.", maps.map_groups, own, draws=draws, rng=rng
-        )
-        if groups is None:
-            continue
-        agreement = maps.compare_groups(groups, permuted=choices.draws, rng=rng)
-        if not any(name in own and len(own[name].unique()) > 1 for name in LABELS):
-            found.notes.append(
-                f"{lead}: maps are of all recordings together; name `interaction` and `sample` in [[recordings]], or "
-                "in columns of the manifest, for maps of each."
-            )
-        for group in groups:
-            keys: Row = {"level": level, "kind": group.kind, "group": group.name}
-            keys["n"] = len(group.matrices)
-            sizes = {"stress": group.space.stress, "n_participants": len(group.matrices)}
-            found.add("maps_groups", [sizes | {"n_recordings": group.n_recordings}], **keys)
-            found.add("maps", _list_places(group.names, group.space, group.ellipses), **keys)
-            if group.ellipses:
-                slug = parts.make_slug("maps", level, group.kind, group.name)
-                says = {"kind": group.kind, "group": group.name, "level": level}
-                found.draw("group", slug, group.ellipses, group.names, says=says)
-        note = f"{choices.draws} pairings"
-        found.add("maps_agreement", agreement, level=level, note=note)
-        lacking = f"{lead}: axes are not compared with attributes."
-        attributes = found.attempt(lacking, regress, own, groups[0], rng) or []
-        found.add("maps_attributes", attributes, level=level)
-        found.facts["parts"].append({
-            "level": level, "agreement": list(_find_least(agreement)), "attributes": attributes,
-            "clear": [row for row in attributes if row["p_holm"] < parts.SIGNIFICANCE],
-        })  # fmt: skip
-    return found
-
-
 def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
     """Adjust p by Holm over the metrics that were planned, and over the others; of those that could be small at all."""
     for row in rows:
@@ -363,25 +332,15 @@ def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
             row["p_holm"] = p
 
 
-def _find_least(rows: Sequence[Mapping[str, Any]]) -> Iterator[Row]:
-    """Find which maps of interactions, and which of samples, agree least."""
-    from feel321.analysis.maps import ALL
-
-    for kind in LABELS:
-        own = [row for row in rows if row["kind"] == kind and row["second"] != ALL]
-        if own:
-            yield {**min(own, key=lambda row: row["correlation"]), "n_pairs": len(own)}
-
-
-def _note_points(points: Points, rows: Sequence[Row]) -> Iterator[str]:
+def _note_points(places: Values, rows: Sequence[Row]) -> Iterator[str]:
     """Say on how little a regression of axes on attributes rests."""
-    from feel321.analysis.maps import ENOUGH
+    from feel321.analysis.space import ENOUGH
 
-    n = len(points.stimuli)
+    recordings, n = places.shape[:2]
     if mute := [row["property"] for row in rows if row["p_least"] >= parts.SIGNIFICANCE]:
         yield f"permutations of {n} stimuli cannot show an association of the axes with {', '.join(mute)}."
-    if points.size < ENOUGH * len(rows):
+    if recordings * n < ENOUGH * len(rows):
         yield (
-            f"{len(rows)} attributes are compared with {points.size} points ({n} stimuli in {len(points.places)} "
+            f"{len(rows)} attributes are compared with {recordings * n} points ({n} stimuli in {recordings} "
             f"recordings); {ENOUGH} for each are recommended: R² is descriptive only."
         )

@@ -6,9 +6,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from feel321.analysis.replication import claims as paper_claims
-from feel321.analysis.replication.claims import AGREES, DIFFERS, NOT_ESTIMABLE, PaperAnswer
-from feel321.analysis.replication.measures import tabulate_metric
+from feel321.analysis import replication as paper_claims
+from feel321.analysis.replication import (
+    AGREES,
+    DIFFERS,
+    NOT_ESTIMABLE,
+    PaperAnswer,
+    tabulate_metric,
+)
 from feel321.analysis.report.answer import list_exceptional
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.words import capitalise, format_interval, format_number
@@ -16,7 +21,7 @@ from feel321.analysis.words import capitalise, format_interval, format_number
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.replication.claims import Paper
+    from feel321.analysis.replication import Paper
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 

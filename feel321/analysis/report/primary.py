@@ -273,7 +273,7 @@ def _describe_part(part: Part, slopes: Sequence[Slope]) -> Row:
         kinds = list(influence.table.loc[tried, "kind"].unique())
     spreads: list[str] = []
     for name in (one.metric for one in slopes if one.metric in ROTATIONS):
-        from feel321.analysis.replication.measures import explain_spread
+        from feel321.analysis.replication import explain_spread
 
         spreads.append(explain_spread(part.rows, name))
     odd = influence.exceptions.reset_index().to_dict("records")

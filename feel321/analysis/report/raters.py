@@ -13,6 +13,7 @@ from feel321.analysis.primary.sensitivity import conclude, list_changes
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.screening.consistency import rater_model
+from feel321.analysis.screening.rules import RULES
 from feel321.analysis.screening.screen import screen_raters
 from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
@@ -50,11 +51,9 @@ def compute(table: Table, choices: Choices) -> Found:
     if single.empty:
         found.notes.append("Raters were not screened: no stimulus was rated by itself.")
         return found
-    screening = screen_raters(single, own=choices.rules, rng=choices.make_rng("raters"))
+    screening = screen_raters(single, rng=choices.make_rng("raters"))
     found.notes += screening.notes
-    standard = [
-        rule for rule in screening.rules if screening.known[rule].source.startswith("ITU-R")
-    ]
+    standard = [rule for rule in screening.rules if RULES[rule].source.startswith("ITU-R")]
     rules = {EVERYONE: (), STANDARD: standard, ANY: screening.rules}
     flagged: Flagged = {
         group: sorted({who for rule in own for who in screening.hits[rule]}, key=str)
@@ -78,7 +77,7 @@ def compute(table: Table, choices: Choices) -> Found:
         "n_raters": screening.table["participant"].nunique(), "applied": bool(shares.notna().any()),
         "changes": list(map(list, dict.fromkeys(where))), "models": models,
         "rules": {
-            rule: screening.known[rule].says.format(limit=limit) for rule, limit in screening.limits.items()
+            rule: RULES[rule].says.format(limit=limit) for rule, limit in screening.limits.items()
         },
         "unflagged": [row for row in changes if row["panel"] == ANY],
     }  # fmt: skip
@@ -111,7 +110,7 @@ def _list_repeats(table: Table) -> Iterator[Row]:
 
 def _add_screening(found: Found, screening: Statistic, flagged: Flagged) -> None:
     for rule, hits in screening.hits.items():
-        known = screening.known[rule]
+        known = RULES[rule]
         share = screening.table.loc[screening.table["rule"] == rule, "share"]
         texts = {
             "rule": rule, "n": len(share), "source": known.source,

@@ -22,7 +22,6 @@ from feel321.analysis.report.section import FIXED, Found, Row, Section, make_row
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES
-from feel321.analysis.screening.screen import find_rules
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
@@ -33,7 +32,7 @@ from feel321.types import MetricInfo, PathLike, Progress, Rng
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.replication.claims import Paper
+    from feel321.analysis.replication import Paper
 
 SCHEMA_VERSION = 2
 """Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
@@ -50,7 +49,6 @@ QUESTIONS: Mapping[str, str] = {
 }
 """Anchor of each question -> how it is put; sections name the one that they answer."""
 
-WHOLE = "The space of what was felt"
 PLACE = "feel321.analysis.report"
 SECTIONS = (
     Section("primary", "Change in rating with each metric, within recordings", "predict", f"{PLACE}.primary:compute"),
@@ -64,8 +62,7 @@ SECTIONS = (
     Section("discrimination", "Telling stimuli apart (ABX)", "apart", f"{PLACE}.pairs:compute_discrimination",
             (ANSWERED,)),
     Section("told_apart", "One axis against three", "apart", f"{PLACE}.pairs:compute_told_apart", (PAIRED,)),
-    Section("space", WHOLE, "apart", f"{PLACE}.pairs:compute_space", (PAIRED,)),
-    Section("maps", f"{WHOLE}, by interaction and surface", "apart", f"{PLACE}.pairs:compute_maps", (PAIRED,)),
+    Section("space", "The space of what was felt", "apart", f"{PLACE}.pairs:compute_space", (PAIRED,)),
     Section("delivered", "Delivered vibration", "trust", f"{PLACE}.raters:compute_delivered"),
     Section("raters", "Raters", "trust", f"{PLACE}.raters:compute"),
     Section("robustness", "Robustness to other choices", "hinge", f"{PLACE}.primary:compute_robustness"),
@@ -162,8 +159,7 @@ def describe_inputs(
     margin = "none" if choices.margin is None else str(choices.margin)
     told |= {"metrics": ", ".join(table.metrics), "draws": str(choices.draws), "margin": margin}
     told |= {"seed": str(choices.seed)}
-    rules = {f"rule_{rule.name}": rule.place for rule in choices.rules}
-    return told | rules | {f"rule_{rule.name}_sha256": rule.sha256 for rule in choices.rules}
+    return told
 
 
 def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
@@ -177,7 +173,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     sources: Mapping[str, str] | None = None,
     further: Further | None = None,
     info: Mapping[str, MetricInfo] | None = None,
-    rules: Sequence[object] = (),
     paper: Paper | None = None,
     about: About | None = None,
     rng: Rng = 0,
@@ -209,8 +204,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         Metrics to explore that neither file holds, such as rotation statistics.
     info : Mapping of str to MetricInfo, optional
         What metrics declare: which way each points, its bounds, label and unit (`read_table`).
-    rules : sequence of str, callable or Method
-        The lab's own screening rules, beside feel321's (`screen_raters`).
     paper : Paper, optional
         The paper that is replicated: its claims are answered first.
     about : About, optional
@@ -238,7 +231,7 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> results = analysis.write_report("ratings.csv", "manifest.csv", "report")  # doctest: +SKIP
     >>> print(results.headline)  # doctest: +SKIP
     """
-    chosen = Choices(draws=draws, margin=margin, seed=as_seed(rng), rules=find_rules(rules))
+    chosen = Choices(draws=draws, margin=margin, seed=as_seed(rng))
     check_target(target := as_path(folder, "folder"))
     choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
     with follow(progress or False, "report") as move:

@@ -43,9 +43,7 @@ FEWEST_VOTES, FEWEST_RATERS = 3, 3
 FEWEST_COMPARED = 6
 """Raters below which none can stand out: nobody knows how far honest ones differ."""
 
-LEVEL = 0.05
-"""Chance that anybody is said to stand out among raters who differ as honest ones do."""
-
+LEVEL = 0.05  # Chance that anybody is said to stand out among raters who differ as honest ones do
 MOST_APART = 0.25
 """Share of raters who may stand out; with more of them it is not they who are the exception."""
 
@@ -96,14 +94,12 @@ def rater_model(
     bias, weighted by one over inconsistency squared), until qualities settle. Standard errors: inconsistency / sqrt(n)
     of a bias and inconsistency / sqrt(2 n) of an inconsistency; of a quality the standard deviation of the stimulus's
     residuals over sqrt(n) (``se``), and one over the root of the summed weights (``se_raters``, SUREAL's
-    ``MLE_CO_AP``). With few raters the likelihood may grow without bound as the qualities become the ratings of one
-    of them; where one has half of all weights, all count alike instead, and a note says so.
+    ``MLE_CO_AP``). With few raters the likelihood may grow without bound; where one has half of all weights, all count
+    alike instead, and a note says so.
 
-    Who stands apart: honest raters differ in inconsistency too, by a factor that is about log-normal, so the
-    logarithms are tested by Rosner's generalised extreme studentised deviate, one-sided, for up to a quarter of the
-    raters, at 5 % for the whole panel: several bad raters do not hide each other, as they would where each was compared
-    with a standard deviation that they had widened. Among honest panels of 12 to 30 raters somebody is said to stand
-    apart in about one of twenty.
+    Who stands apart: honest raters differ in inconsistency by a factor that is about log-normal, so the logarithms are
+    tested by Rosner's generalised extreme studentised deviate, one-sided, for up to a quarter of the raters, at 5 % for
+    the whole panel: several bad raters do not hide each other.
 
     References
     ----------
@@ -122,40 +118,34 @@ def rater_model(
     >>> model.apart, round(model.raters["bias"].iloc[0])
     (('7',), 9)
     """
+    import pandas as pd
+
     votes = _read(ratings, scale, level)
-    counts = np.bincount(votes.rater)
+    counts, n_items = np.bincount(votes.rater), np.bincount(votes.item)
     quality, bias, spread, rounds, lone = _project(votes)
     residual = votes.points - quality[votes.item] - bias[votes.rater]
-    n, n_items = len(votes.points), np.bincount(votes.item)
+    n, n_parameters = len(votes.points), len(quality) + 2 * len(bias)
     held = np.maximum(spread, math.sqrt(FLOOR) * votes.points.std())
     likely = -np.log(held) - math.log(2 * math.pi) / 2
     loglikelihood = float((likely[votes.rater] - (residual / held[votes.rater]) ** 2 / 2).mean())
-    n_parameters = len(quality) + 2 * len(bias)
     weights = np.ones_like(held) if lone else 1 / held**2
     means = np.bincount(votes.item, residual) / n_items
     own = np.bincount(votes.item, (residual - means[votes.item]) ** 2) / n_items
     apart, notes = find_apart(spread)
-    import pandas as pd
-
-    order = np.argsort(-spread, kind="stable")
+    people = pd.Index(votes.raters, name="participant", dtype=object)
+    raters = pd.DataFrame({
+        "bias": bias, "bias_se": spread / np.sqrt(counts), "inconsistency": spread,
+        "inconsistency_se": spread / np.sqrt(2 * counts), "n": counts, "weight": weights / weights.sum(),
+        "apart": apart,
+    }, index=people)  # fmt: skip
+    se_raters = 1 / np.sqrt(np.bincount(votes.item, 1 / held[votes.rater] ** 2))
+    stimuli = pd.DataFrame(
+        {"quality": quality, "se": np.sqrt(own / n_items), "se_raters": se_raters, "n": n_items},
+        index=pd.Index(votes.items, name=STIMULUS, dtype=object),
+    )
     return Statistic(
-        "RaterModel",
-        raters=pd.DataFrame(
-            {
-                "bias": bias, "bias_se": spread / np.sqrt(counts), "inconsistency": spread,
-                "inconsistency_se": spread / np.sqrt(2 * counts), "n": counts,
-                "weight": weights / weights.sum(), "apart": apart,
-            },
-            index=pd.Index(votes.raters, name="participant", dtype=object),
-        ),
-        stimuli=pd.DataFrame(
-            {
-                "quality": quality, "se": np.sqrt(own / n_items),
-                "se_raters": 1 / np.sqrt(np.bincount(votes.item, 1 / held[votes.rater] ** 2)), "n": n_items,
-            },
-            index=pd.Index(votes.items, name=STIMULUS, dtype=object),
-        ),
-        apart=tuple(votes.raters[place] for place in order if apart[place]),
+        "RaterModel", raters=raters, stimuli=stimuli,
+        apart=tuple(votes.raters[place] for place in np.argsort(-spread, kind="stable") if apart[place]),
         loglikelihood=loglikelihood, aic=2 * n_parameters / n - 2 * loglikelihood,
         bic=math.log(n) * n_parameters / n - 2 * loglikelihood,
         n_ratings=n, n_parameters=n_parameters, n_rounds=rounds, notes=(*notes, *lone),
@@ -207,31 +197,23 @@ def _read(ratings: Table | DataFrame | ArrayLike, scale: str | None, level: str 
             raise ValueError(f"ratings must be of {least} {what} or more, got {count}")
     poor = np.flatnonzero(np.bincount(rater) < FEWEST_VOTES)
     if len(poor):
-        raise ValueError(
-            f"raters must have {FEWEST_VOTES} ratings or more, got fewer of {raters[poor[0]]}; leave them out"
-        )
+        got = f"got fewer of {raters[poor[0]]}; leave them out"
+        raise ValueError(f"raters must have {FEWEST_VOTES} ratings or more, {got}")
     if not np.isfinite(values).all() or np.ptp(values) == 0:
         raise ValueError("ratings must be finite and differ, got others; leave them out")
     return _Votes(values, rater, item, tuple(map(str, raters)), tuple(map(str, items)))
 
 
 def _project(votes: _Votes) -> tuple[Values, Values, Values, int, list[str]]:
-    """Estimate qualities, biases and inconsistencies; with equal weights, and a note, where one rater alone counts.
-
-    The likelihood has no maximum: it grows without bound as the qualities become one rater's own ratings. With many
-    raters the projections settle at the maximum that is meant; with few they may run away to one of them.
-    """
-    quality, bias, spread, rounds = _alternate(votes, floor=FLOOR)
-    weights = 1 / (spread**2 + FLOOR * votes.points.var())
+    """Estimate all; with equal weights, and a note, where one rater alone counts and the likelihood is unbounded."""
+    found = _alternate(votes, floor=FLOOR)
+    weights = 1 / (found[2] ** 2 + FLOOR * votes.points.var())
     if weights.max() < LONE * weights.sum():
-        return quality, bias, spread, rounds, []
+        return *found, []
     who = votes.raters[int(weights.argmax())]
-    note = (
-        f"Weighted by consistency, {who} alone would determine the qualities, as happens with few raters; all "
-        "raters count alike instead."
-    )
-    quality, bias, spread, rounds = _alternate(votes, floor=math.inf)
-    return quality, bias, spread, rounds, [note]
+    alone = f"Weighted by consistency, {who} alone would determine the qualities"
+    note = f"{alone}, as happens with few raters; all raters count alike instead."
+    return *_alternate(votes, floor=math.inf), [note]
 
 
 def _alternate(votes: _Votes, *, floor: float) -> tuple[Values, Values, Values, int]:
@@ -239,17 +221,16 @@ def _alternate(votes: _Votes, *, floor: float) -> tuple[Values, Values, Values, 
     values, rater, item = votes.points, votes.rater, votes.item
     counts, n_items = np.bincount(rater), np.bincount(item)
     quality, size = np.bincount(item, values) / n_items, float(values.std())
+    alike = np.ones(len(counts))
     for rounds in range(1, MOST_ROUNDS + 1):
         before, residual = quality, values - quality[item]
         means = np.bincount(rater, residual) / counts
         bias = means - means.mean()
         spread = np.sqrt(np.bincount(rater, (residual - means[rater]) ** 2) / counts)
-        weights = (
-            1 / (spread**2 + floor * size**2) if math.isfinite(floor) else np.ones_like(spread)
-        )[rater]
+        each = 1 / (spread**2 + floor * size**2) if math.isfinite(floor) else alike
+        weights = each[rater]
         quality = np.bincount(item, weights * (values - bias[rater])) / np.bincount(item, weights)
         if np.linalg.norm(quality - before) < SETTLED * size:
             return quality, bias, spread, rounds
-    raise ValueError(
-        f"ratings must settle on qualities, got none after {MOST_ROUNDS} rounds: too few are shared by raters"
-    )
+    why = f"got none after {MOST_ROUNDS} rounds: too few are shared by raters"
+    raise ValueError(f"ratings must settle on qualities, {why}")

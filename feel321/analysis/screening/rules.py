@@ -21,14 +21,15 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from feel321.analysis.arrays import FLAT, read_numbers
+from feel321.analysis.arrays import FLAT, check_columns, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS
-from feel321.analysis.table.schema import HIGHEST, LOWEST, NAMING
+from feel321.analysis.table.items import STIMULUS
+from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.doors import check_name
 from feel321.protocols.tasks import PROTOCOLS
 
@@ -38,27 +39,15 @@ if TYPE_CHECKING:
 
     from feel321.analysis.arrays import Values
 
-FEWEST_JUDGEMENTS = 8
-"""With fewer judgements, or pairs of them, a habit cannot be told from chance."""
-
-REACH = 1.5
-"""Fences stand this many hinge spreads outside the hinges."""
-
-FEWEST_RATERS = 5
-"""With fewer values no fence can leave one out, or a shape be seen."""
-
+FEWEST_JUDGEMENTS = 8  # With fewer judgements, or pairs of them, a habit cannot be told from chance
+REACH = 1.5  # Fences stand this many hinge spreads outside the hinges
+FEWEST_RATERS = 5  # With fewer values no fence can leave one out, or a shape be seen
 UNIMODAL = 5 / 9
 """Multimodality coefficient of evenly spread values; above it, ratings may have more than one peak."""
 
-ALL_BUT = 0.95
-"""Share of ratings at one step from which on nobody is taken to have used the scale."""
-
-ONE_SIDED = 1.6448536269514722
-"""95 % point of the normal distribution."""
-
-FASTEST_S = 0.5
-"""Nobody feels, weighs and answers in less."""
-
+ALL_BUT = 0.95  # Share of ratings at one step from which on nobody is taken to have used the scale
+ONE_SIDED = 1.6448536269514722  # 95 % point of the normal distribution
+FASTEST_S = 0.5  # Nobody feels, weighs and answers in less
 EXCELLENT, MIDDLE = 90.0, 50.0
 """The hidden reference is to be rated at least 90, the mid anchor at most; the low anchor, in the extension, 50."""
 
@@ -68,9 +57,7 @@ MOST_RATERS = 0.25
 MOST_STEPS, FULL = 11, 5
 """Different ratings up to which a scale may be one of few steps; ratings per step from which a slider would show."""
 
-SAME_POINTS = 2.0
-"""Ratings of a slider that lie no farther apart than this are at the same place."""
-
+SAME_POINTS = 2.0  # Ratings of a slider that lie no farther apart than this are at the same place
 FLOOR, PERMUTATIONS = 0.95, 499
 """Share of permutations that an expert's measure exceeds, and how many there are."""
 
@@ -84,37 +71,24 @@ def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
     """Medians of the lower and the upper half; for odd n the median belongs to both."""
     ordered = np.sort(read_numbers(values, what="values").ravel())
     if not len(ordered) or not np.isfinite(ordered).all():
-        raise ValueError(
-            f"values must be one or more finite numbers, got {len(ordered)}, not all finite"
-        )
+        got = f"got {len(ordered)}, not all finite"
+        raise ValueError(f"values must be one or more finite numbers, {got}")
     half = (len(ordered) + 1) // 2
     return float(np.median(ordered[:half])), float(np.median(ordered[-half:]))
 
 
 def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]:
-    """Find where outlying begins: 1.5 hinge spreads outside the hinges.
-
-    On a scale of few steps the hinge spread counts as one step at least: where most raters choose one step, their
-    neighbours on the next are no outliers.
-    """
+    """Find where outlying begins: 1.5 hinge spreads, or steps of a coarse scale, outside the hinges."""
     low, high = tukey_hinges(values)
     reach = REACH * max(high - low, step)
     return low - reach, high + reach
 
 
 def multimodality(values: ArrayLike) -> float:
-    """Measure by skewness and kurtosis whether values may have more than one peak.
+    """Measure whether values may have more than one peak: above 5/9 [2]_; NaN for fewer than 4, and constants.
 
-    (g² + 1) / (k + 3 (n - 1)² / ((n - 2)(n - 3))), g the skewness and k the excess kurtosis, both corrected for
-    sample size. Above 5/9 more than one peak is possible, as is strong skewness; NaN for fewer than 4 values and
-    for values that are all the same. Use it to find items whose mean rating hides two camps of raters; look at their
-    histogram before concluding. With fewer than some 20 raters it scatters widely.
-
-    Examples
-    --------
-    >>> two_camps, one = [10, 11, 12, 13, 90, 91, 92, 93] * 4, [1, 3, 3, 4, 4, 4, 4, 5, 5, 7] * 3
-    >>> round(multimodality(two_camps), 2), round(multimodality(one), 2)
-    (0.85, 0.25)
+    (g² + 1) / (k + 3 (n - 1)² / ((n - 2)(n - 3))), g the skewness and k the excess kurtosis, corrected for n.
+    With fewer than some 20 raters it scatters widely.
     """
     given = read_numbers(values, what="values").ravel()
     n = len(given)
@@ -136,12 +110,11 @@ def multimodality(values: ArrayLike) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judgements:
-    """Ratings with what a rule needs to know of each; items: names of the items by number; given: the table."""
+    """Ratings with what a rule needs to know of each; items: names of the items by number."""
 
     rows: DataFrame
     participants: Index
     items: Series
-    given: DataFrame
     notes: tuple[str, ...] = ()
 
     def of_protocols(self, names: Sequence[str]) -> Judgements:
@@ -180,67 +153,47 @@ class Judgements:
 
 def key_stimulus(ratings: DataFrame) -> list[str]:
     """List the columns that together name what was judged against what; the level too, where there are several."""
-    named = (
-        ["stimulus_id"] if "stimulus_id" in ratings else [one for one in NAMING if one in ratings]
-    )
-    arms = ["level"] if "level" in ratings and len(ratings["level"].unique()) > 1 else []
-    reference = ["reference_id"] if "reference_id" in ratings else []
-    return list(dict.fromkeys([*named, *arms, *reference]))
+    several = "level" in ratings and len(ratings["level"].unique()) > 1
+    return [STIMULUS, *["level"] * several, *["reference_id"] * ("reference_id" in ratings)]
 
 
 def make_judgements(ratings: DataFrame, *, assumed: str = "") -> Judgements:
     """Prepare a tidy table; ratings that name no protocol are taken to be of the one assumed, if any."""
-    _check_ratings(ratings)
+    check_columns(ratings, ["participant", "rating", STIMULUS], "ratings")
+    if ratings.empty:
+        raise ValueError("ratings must hold a row per judgement, got no row")
+    for name in ("participant", STIMULUS):
+        if nameless := int(ratings[name].isna().sum()):
+            got = f"got {nameless} rows without a {name}; name it or leave them out"
+            raise ValueError(f"ratings must all be named, {got}")
+    values = ratings["rating"].to_numpy(np.float64)
+    bad = values[~((values >= LOWEST) & (values <= HIGHEST))]
+    if len(bad):
+        got = f"got {len(bad)} ratings such as {bad[0]:g}; leave others out"
+        raise ValueError(f"ratings must lie between 0 and 100, {got}")
     if "repeat" in ratings:
         # As text 10 comes before 2; what is no number keeps its place in the table, behind all numbers.
-        ratings = ratings.sort_values(
-            "repeat", kind="stable", key=lambda turns: pd.to_numeric(turns, errors="coerce")
-        )
-    naming = key_stimulus(ratings)
+        turns = pd.to_numeric(ratings["repeat"], errors="coerce")
+        ratings = ratings.loc[turns.sort_values(kind="stable").index]
+    naming, scale = key_stimulus(ratings), [name for name in ("scale",) if name in ratings]
     excerpt = [name for name in ("scale", "recording", "level") if name in ratings] or naming
-    item = ["scale", *naming] if "scale" in ratings else naming
+    item = [*scale, *naming]
     excerpts, items = (
         ratings.groupby(keys, observed=True, dropna=False).ngroup().to_numpy()
         for keys in (excerpt, item)
     )
     protocols, notes = _find_protocols(ratings, assumed)
+    times = ratings.get("response_time_s", pd.Series(np.nan, ratings.index))
     rows = pd.DataFrame({
         "participant": ratings["participant"].to_numpy(), "item": items, "excerpt": excerpts,
         "kind": _find_kinds(ratings), "protocol": protocols, "step": _find_steps(ratings),
-        "rating": ratings["rating"].to_numpy(np.float64),
-        "time": ratings.get("response_time_s", pd.Series(np.nan, ratings.index)).to_numpy(np.float64),
+        "rating": ratings["rating"].to_numpy(np.float64), "time": times.to_numpy(np.float64),
     })  # fmt: skip
     # Numbers and words cannot be compared with each other; each kind keeps its own order.
     everyone = sorted(rows["participant"].unique(), key=lambda name: (isinstance(name, str), name))
     names = ratings[item].assign(number=items).drop_duplicates("number").set_index("number")
     labels = names.astype(str).agg("/".join, axis=1)
-    return Judgements(rows, pd.Index(everyone, name="participant"), labels, ratings, notes)
-
-
-def _check_ratings(ratings: DataFrame) -> None:
-    named = (
-        ["stimulus_id"] if "stimulus_id" in ratings else [one for one in NAMING if one in ratings]
-    )
-    needed = ("participant", "rating", *(named or ["stimulus_id"]))
-    missing = ", ".join(name for name in needed if name not in ratings)
-    if missing:
-        raise ValueError(
-            f"ratings: column {missing} is missing, a table must have {', '.join(needed)}; got "
-            f"{', '.join(map(str, ratings.columns))}"
-        )
-    if ratings.empty:
-        raise ValueError("ratings must hold a row per judgement, got no row")
-    for name in ("participant", *named):
-        if nameless := int(ratings[name].isna().sum()):
-            raise ValueError(
-                f"ratings must all be named, got {nameless} rows without a {name}; name it or leave them out"
-            )
-    values = ratings["rating"].to_numpy(np.float64)
-    bad = values[~((values >= LOWEST) & (values <= HIGHEST))]
-    if len(bad):
-        raise ValueError(
-            f"ratings must lie between 0 and 100, got {len(bad)} ratings such as {bad[0]:g}; leave others out"
-        )
+    return Judgements(rows, pd.Index(everyone, name="participant"), labels, notes)
 
 
 def _find_kinds(ratings: DataFrame) -> NDArray[np.object_]:
@@ -248,7 +201,7 @@ def _find_kinds(ratings: DataFrame) -> NDArray[np.object_]:
         return np.full(len(ratings), "test", dtype=object)
     # A pair of two test stimuli is a judgement like any other of test stimuli.
     kinds = ratings["role"].replace({"pair": "test"}).to_numpy(dtype=object, copy=True)
-    names = ratings["reducer"] if "reducer" in ratings else ratings["stimulus_id"]
+    names = ratings["reducer"] if "reducer" in ratings else ratings[STIMULUS]
     anchored = ratings["role"].eq("anchor").to_numpy()
     for kind in ANCHORS:
         kinds[anchored & names.astype(str).str.contains(kind, case=False).to_numpy()] = kind
@@ -262,18 +215,17 @@ def _find_protocols(
     of_scale = dict(zip(PROTOCOLS, PROTOCOLS, strict=True))
     given = scales = np.full(len(ratings), "", dtype=object)
     if "protocol" in ratings:
-        column = ratings["protocol"].astype(object)
-        given = column.where(column.notna(), "").astype(str).to_numpy(object)
+        given = ratings["protocol"].astype(object).fillna("").astype(str).to_numpy(object)
     if "scale" in ratings:
         scales = ratings["scale"].astype(str).map(of_scale).fillna("").to_numpy(object)
     by_scale, unknown = (given == "") & (scales != ""), (given == "") & (scales == "")
-    notes = []
+    lead, notes = "No protocol is given for", []
     if by_scale.any():
         names = f"assumed from their scale ({', '.join(sorted(set(scales[by_scale])))})"
-        notes.append(f"No protocol is given for {by_scale.sum()} ratings: {names}.")
+        notes.append(f"{lead} {by_scale.sum()} ratings: {names}.")
     if unknown.any() and assumed:
         sight = f"assumed {assumed}, with a reference in sight"
-        notes.append(f"No protocol is given for {unknown.sum()} ratings: {sight}.")
+        notes.append(f"{lead} {unknown.sum()} ratings: {sight}.")
     return np.where(by_scale, scales, np.where(unknown, assumed, given)), tuple(notes)
 
 
@@ -346,24 +298,17 @@ def _reversed_scale(judgements: Judgements, limit: float) -> DataFrame:
     means = judgements.means()
     n_others = (means.notna().sum() - means.notna()).replace(0, np.nan)
     others = ((means.sum() - means.fillna(0.0)) / n_others).where(means.notna())
-    n = others.notna().sum(axis=1)
-
-    def correlate(who: Any) -> float:  # noqa: ANN401 - a participant may be named by anything
-        one, two = (frame.loc[who].to_numpy(np.float64) for frame in (means, others))
+    n, found = others.notna().sum(axis=1), []
+    for one, two in zip(means.to_numpy(), others.to_numpy(np.float64), strict=True):
         both = np.isfinite(one) & np.isfinite(two)
-        if both.sum() < FEWEST_ITEMS or 0 in {np.ptp(one[both]), np.ptp(two[both])}:
-            return float("nan")
-        return float(np.corrcoef(one[both], two[both])[0, 1])
-
-    r = pd.Series({who: correlate(who) for who in means.index}).reindex(means.index)
-    return compare_values(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=limit, below=True)
+        few = both.sum() < FEWEST_JUDGEMENTS or 0 in {np.ptp(one[both]), np.ptp(two[both])}
+        found.append(np.nan if few else float(np.corrcoef(one[both], two[both])[0, 1]))
+    r = pd.Series(found, means.index, dtype=np.float64)
+    return compare_values(n, n, r, limit=limit, below=True)
 
 
 def _straight_lining(judgements: Judgements, limit: float) -> DataFrame:
-    """Find raters who leave the slider at one place.
-
-    On a scale of few steps, where a lenient rater uses the top step often, the limit is half as far from 1.
-    """
+    """Find raters who leave the slider at one place; on a scale of few steps the limit is half as far from 1."""
 
     def count_densest(ratings: Series) -> int:
         ordered = np.sort(ratings.to_numpy(np.float64))
@@ -382,10 +327,7 @@ def _straight_lining(judgements: Judgements, limit: float) -> DataFrame:
 
 
 def _test_retest(judgements: Judgements, limit: float) -> DataFrame:
-    """Correlate second ratings with first ones: random clicking shows as none.
-
-    NaN for fewer than 8 pairs, and where somebody's first or second ratings are all the same.
-    """
+    """Correlate second ratings with first ones; NaN for fewer than 8 pairs, and where either are all the same."""
     pairs = judgements.first_two()
     whose, times = pairs["participant"], pairs[["first", "second"]]
     centred = times - times.groupby(whose, observed=True).transform("mean")
@@ -438,7 +380,7 @@ def gauge_raters(
     ]
     between = [_mean_squares(item, rating[None])[1][0] for _, item, rating in people]
     panel_square = float(np.nanmean(between)) if np.isfinite(between).any() else float("nan")
-    rows: list[dict[str, object]] = []
+    rows: list[list[object]] = []
     for participant, item, rating in people:
         shuffled = rng.permuted(np.broadcast_to(rating, (permutations, len(rating))), axis=1)
         averages, square, within = _mean_squares(item, np.vstack([rating, shuffled]))
@@ -447,12 +389,11 @@ def gauge_raters(
             measured = square / within, panel_square / within, _agree(averages, others)
         for name, values in zip(MEASURES, measured, strict=True):
             value, null = float(values[0]), values[1:][~np.isnan(values[1:])]
-            floor = p = float("nan")
+            told: list[object] = [participant, name, value, np.nan, np.nan]
             if not np.isnan(value) and len(null):
-                floor = float(np.quantile(null, FLOOR, method="higher"))
-                p = (1 + int((null >= value).sum())) / (1 + len(null))
-            told = (participant, name, value, floor, p)
-            rows.append(dict(zip(GAUGED, told, strict=True)))
+                told[3] = float(np.quantile(null, FLOOR, method="higher"))
+                told[4] = (1 + int((null >= value).sum())) / (1 + len(null))
+            rows.append(told)
     return pd.DataFrame(rows, columns=GAUGED)
 
 
@@ -559,13 +500,7 @@ RULES: Mapping[str, Rule] = MappingProxyType({
 def choose_limits(
     rules: Iterable[str] | Mapping[str, float] | None, *, random: bool
 ) -> dict[str, float]:
-    """Settle which rules apply and their limits: name -> limit, in the order of `RULES`.
-
-    Examples
-    --------
-    >>> choose_limits(["mid_anchor"], random=False), choose_limits({"mid_anchor": 0.2}, random=False)
-    ({'mid_anchor': 0.15}, {'mid_anchor': 0.2})
-    """
+    """Settle which rules apply and their limits: name -> limit, in the order of `RULES`."""
     if rules is None:
         return {name: rule.limit for name, rule in RULES.items() if random or name != EXPERTISE}
     wanted = [rules] if isinstance(rules, str) else list(rules)
@@ -574,15 +509,10 @@ def choose_limits(
     for name in wanted:
         check_name(name, RULES, "rules")
     if EXPERTISE in wanted and not random:
-        raise ValueError(
-            f"rules must go without {EXPERTISE!r}, or with rng for its permutations; got it without rng"
-        )
+        raise ValueError(f"rules must go without {EXPERTISE!r}, or with rng for its permutations")
     own = dict(rules) if isinstance(rules, Mapping) else {}
     for name, limit in own.items():
         if not -1 <= limit <= 1:
-            raise ValueError(
-                f"rules must have limits from -1 to 1, a share, not per cent; got the limit {limit} for {name!r}"
-            )
-    return {
-        name: float(own.get(name, rule.limit)) for name, rule in RULES.items() if name in wanted
-    }
+            got = f"got the limit {limit} for {name!r}"
+            raise ValueError(f"rules must have limits from -1 to 1, a share, not per cent; {got}")
+    return {name: float(own.get(name, RULES[name].limit)) for name in RULES if name in wanted}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,16 +11,13 @@ import pandas as pd
 from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.screening import rules as measures
-from feel321.analysis.screening.rules import EXPERTISE, RULES, SIGHTED, Judgements, Rule
+from feel321.analysis.screening.rules import EXPERTISE, RULES, SIGHTED, Judgements
 from feel321.analysis.table.items import Table, leave_rejected, name_stimuli, open_ratings
-from feel321.doors import as_rng, describe
-from feel321.extensions import Method, call, find_method
+from feel321.doors import as_rng
 from feel321.records import Statistic
 from feel321.types import Rng
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from pandas import DataFrame
 
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
@@ -31,7 +27,6 @@ def screen_raters(
     table: Table | DataFrame,
     rules: Iterable[str] | Mapping[str, float] | None = None,
     *,
-    own: Iterable[object] = (),
     rng: Rng | None = None,
 ) -> Statistic:
     """Apply every screening rule to every rater. Nobody is removed.
@@ -44,9 +39,6 @@ def screen_raters(
         known by ``mid`` or ``low`` in their reducer's name.
     rules : iterable of str, mapping of str to float, or None
         Names of `RULES`, or names with limits of one's own; None for all (``expertise`` with an rng only).
-    own : iterable of str, callable or Method
-        The lab's own rules beside them, such as ``"methods/rules.py:slow"``: each a function of the ratings that
-        returns a number per participant, with attributes ``limit`` (flagged above it) and ``says`` (in words).
     rng : int, Generator or None
         Source of randomness for the permutations of ``expertise``.
 
@@ -59,7 +51,7 @@ def screen_raters(
         flagged. ``stimuli``, per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal
         (above 5/9). ``gauge``: participant, measure (discrimination, reliability, agreement), value, floor and p of its
         permutation null; empty without the rule ``expertise``. ``panel``: reliability of everyone, and of those whom
-        no rule flagged, per scale. ``limits`` of each rule asked for; ``rules known notes``.
+        no rule flagged, per scale. ``limits`` of each rule asked for; ``rules notes``.
 
     Raises
     ------
@@ -73,12 +65,10 @@ def screen_raters(
     put above 90 does not count for either. These rules, and that about the low anchor, are for MUSHRA, where the
     reference is in sight: on realism or similarity they flagged 11 of 16 ordinary raters. Ratings without a protocol
     are of the protocol that their scale is named after; others count as MUSHRA only if such a rule is asked by name.
-    The notes say what was assumed.
 
-    All other rules are extensions with limits by convention: use them to find whom to ask about, state the rules before
-    the data are seen, and report results with and without the flagged raters. A scale with 11 steps or fewer is
-    recognised by its ratings, and no rule flags a rater for what rounding to its steps does. A flagged rater should be
-    followed up, not automatically excluded.
+    All other rules are extensions with limits by convention: state them before the data are seen, and report results
+    with and without the flagged raters, who should be followed up, not automatically excluded. A scale with 11 steps or
+    fewer is recognised by its ratings, and no rule flags a rater for what rounding to its steps does.
 
     References
     ----------
@@ -96,10 +86,7 @@ def screen_raters(
     0         ann      1  10    0.1   0.15  False
     1         bob      2  10    0.2   0.15   True
     """
-    further = {method.name: make_rule(method) for method in find_rules(own)}
     limits = measures.choose_limits(rules, random=rng is not None)
-    limits |= {name: rule.limit for name, rule in further.items()}
-    known = {**RULES, **further}
     ratings, left_out = leave_rejected(name_stimuli(open_ratings(table)))
     if "rating" in ratings:
         ratings = ratings.assign(rating=read_numbers(ratings["rating"], what="ratings, 'rating'"))
@@ -109,7 +96,7 @@ def screen_raters(
         gauge = measures.gauge_raters(judgements, rng=as_rng(rng))
     found = {}
     for name, limit in limits.items():
-        find, meant = known[name].find, judgements.of_protocols(known[name].protocols)
+        find, meant = RULES[name].find, judgements.of_protocols(RULES[name].protocols)
         found[name] = (
             find(meant, limit) if find else measures.check_expertise(gauge, judgements, limit)
         )
@@ -123,12 +110,12 @@ def screen_raters(
         wide = screened.pivot_table(what, "participant", "rule", aggfunc="first", dropna=False)
         return wide[list(limits)]
 
-    bound = [name for name in limits if known[name].protocols]
+    bound = [name for name in limits if RULES[name].protocols]
     notes = [*left_out, *_explain_protocols(judgements, bound)]
     return Statistic(
-        "Screening", table=screened, hits=hits, rules=tuple(limits), limits=limits, known=known,
+        "Screening", table=screened, hits=hits, rules=tuple(limits), limits=limits,
         stimuli=_describe_items(judgements), gauge=gauge, panel=describe_panel(ratings, set(flagged["participant"])),
-        notes=(*notes, *_explain_rules(found, judgements, known)),
+        notes=(*notes, *_explain_rules(found, judgements)),
         **{what: spread(what) for what in ("count", "share", "limit", "hit")},
     )  # fmt: skip
 
@@ -175,14 +162,12 @@ def _explain_protocols(judgements: Judgements, bound: Sequence[str]) -> Iterator
         yield f"{names} not applied: for MUSHRA ratings, where the reference is in sight; {of}."
 
 
-def _explain_rules(
-    found: Mapping[str, DataFrame], judgements: Judgements, known: Mapping[str, Rule]
-) -> Iterator[str]:
+def _explain_rules(found: Mapping[str, DataFrame], judgements: Judgements) -> Iterator[str]:
     for name, part in found.items():
         silent = int(part["share"].isna().sum())
-        if silent and not judgements.of_protocols(known[name].protocols).rows.empty:
+        if silent and not judgements.of_protocols(RULES[name].protocols).rows.empty:
             whom = "" if silent == len(part) else f" to {silent} of {len(part)} participants"
-            yield f"Rule '{name}' not applied{whom}: it needs {known[name].needs}."
+            yield f"Rule '{name}' not applied{whom}: it needs {RULES[name].needs}."
 
 
 def _describe_items(judgements: Judgements) -> DataFrame:
@@ -196,57 +181,3 @@ def _describe_items(judgements: Judgements) -> DataFrame:
     columns = ["item", "n", "low_fence", "high_fence", "outliers", "multimodality"]
     described = pd.DataFrame(rows, columns=columns)
     return described.assign(multimodal=described["multimodality"] > measures.UNIMODAL)
-
-
-# A lab's own rules: a function of the ratings that returns a number per participant, flagged above its ``limit``.
-
-
-def find_rules(given: Iterable[object], folder: Path | None = None) -> tuple[Method, ...]:
-    """Find a lab's own rules: functions, places in the study's folder or in packages, entry points."""
-    found = tuple(find_method("screening rule", one, taken=RULES, folder=folder) for one in given)
-    names = [method.name for method in found]
-    if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(
-            f"screening rules must have names of their own, got more than one {', '.join(doubled)}"
-        )
-    return found
-
-
-def make_rule(method: Method) -> Rule:
-    """Make a rule of a lab's function and what its attributes declare."""
-    function = method.load()
-    if not callable(function):
-        raise TypeError(f"{method}: must be a function of the ratings, got {describe(function)}")
-    limit, says = getattr(function, "limit", None), getattr(function, "says", method.name)
-    if isinstance(limit, bool) or not isinstance(limit, int | float) or not np.isfinite(limit):
-        raise ValueError(
-            f"{method}: limit must be a number, got {describe(limit)}; write {method.name}.limit = 0.15"
-        )
-    try:
-        str(says).format(limit=limit)
-    except (LookupError, ValueError, AttributeError) as error:
-        raise ValueError(
-            f"{method}: says must be words, with {{limit}} for the limit, got {says!r} ({error})"
-        ) from None
-    needs = str(getattr(function, "needs", "what its function needs"))
-    source = f"the lab's own, {method.place}"
-    return Rule(str(says), source, float(limit), partial(_find, method), needs)
-
-
-def _find(method: Method, judgements: Judgements, limit: float) -> DataFrame:
-    ratings, everyone = judgements.given, judgements.participants
-    told, must = call(method, method.load(), ratings.copy()), "must return a number per participant"
-    if told is None:
-        raise TypeError(f"{method}: {must}, got None; does it return anything?")
-    try:
-        found = pd.Series(told, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise TypeError(f"{method}: {must}, got {describe(told)}") from None
-    if unknown := [one for one in found.index if one not in everyone]:
-        raise ValueError(f"{method}: {must} of the ratings, got one for {unknown[0]!r}")
-    if not found.index.is_unique or np.isinf(found).any():
-        raise ValueError(
-            f"{method}: must return one finite number per participant, or NaN where the rule does not apply"
-        )
-    n = judgements.count(ratings["participant"])
-    return measures.compare_values(n, n, found.reindex(everyone), limit=limit)

@@ -23,9 +23,7 @@ from feel321.types import MetricInfo
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-DICTIONARY = "dictionary.csv"
-"""The file beside the tables that it describes."""
-
+DICTIONARY = "dictionary.csv"  # The file beside the tables that it describes
 DERIVED: Mapping[str, tuple[str, str]] = {
     "low": ("lower end of the 95 % interval of {}", ""),
     "high": ("upper end of the 95 % interval of {}", ""),
@@ -59,9 +57,8 @@ def read_dictionary() -> tuple[Variable, ...]:
     """Read the list; rows for one file first."""
     with Path(__file__).with_name(DICTIONARY).open(encoding="utf-8", newline="") as file:
         rows = [Variable(**row) for row in csv.DictReader(file)]
-    return tuple(
-        sorted(rows, key=lambda row: ("*" in row.column, row.file == "*", "*" in row.file))
-    )
+    rows.sort(key=lambda row: ("*" in row.column, row.file == "*", "*" in row.file))
+    return tuple(rows)
 
 
 def make_dictionary(
@@ -70,9 +67,10 @@ def make_dictionary(
     """Describe the columns of tables by file, such as ``tradeoff/points.csv``; info: what further metrics declare."""
     import pandas as pd
 
+    itself = pd.DataFrame([asdict(read_dictionary()[0])])
     rows = [
         describe_column(file, str(name), frame[name], info=info or {})
-        for file, frame in {**tables, DICTIONARY: _make_sample()}.items()
+        for file, frame in {**tables, DICTIONARY: itself}.items()
         for name in frame
     ]
     return pd.DataFrame([asdict(row) for row in rows])
@@ -82,9 +80,11 @@ def describe_column(
     file: str, column: str, values: Series, *, info: Mapping[str, MetricInfo]
 ) -> Variable:
     """Describe a column; one that nothing is known of has no meaning, and the type of its values."""
-    found = next(_find(file, column, info), None)
-    if found is None:
-        found = Variable(file, column, _find_type(values))
+    from pandas.api.types import is_bool_dtype, is_integer_dtype, is_numeric_dtype
+
+    kinds = {"flag": is_bool_dtype, "integer": is_integer_dtype, "number": is_numeric_dtype}
+    kind = next((name for name, is_kind in kinds.items() if is_kind(values)), "text")
+    found = next(_find(file, column, info), Variable(file, column, kind))
     return replace(found, file=file.rsplit("/", 1)[-1], column=column)
 
 
@@ -97,35 +97,17 @@ def _read_rows(file: str) -> tuple[Variable, ...]:
 
 def _find(file: str, column: str, info: Mapping[str, MetricInfo]) -> Iterator[Variable]:
     yield from (row for row in _read_rows(file) if fnmatch(column, row.column))
-    metrics = {**METRIC_INFO, **ROTATIONS, **info}
-    if column in metrics:
-        one = metrics[column]
+    metrics, further = {**METRIC_INFO, **ROTATIONS, **info}, describe_further()
+    if one := metrics.get(column):
         bounded = math.isfinite(one.low) or math.isfinite(one.high)
         better = "larger is better" if one.higher == "better" else "smaller is better"
         bounds = format_bounds(one) if bounded else ""
         yield Variable(file, column, "number", one.unit, bounds, f"metric: {one.label}; {better}")
-    if column in (further := describe_further()):
-        yield Variable(file, column, "number", "", "", f"metric: {further[column]}")
+    if column in further:
+        yield Variable(file, column, "number", meaning=f"metric: {further[column]}")
     base, _, end = column.rpartition("_")
     for one_of in _find(file, base, info) if end in DERIVED else ():
         meaning, allowed = DERIVED[end]
         told = meaning.format(one_of.meaning.split(":")[-1].split(";")[0].strip() or base)
         unit = "" if end in UNITLESS else one_of.unit
         yield Variable(file, column, "number", unit, allowed, told)
-
-
-def _find_type(values: Series) -> str:
-    import pandas as pd
-
-    if pd.api.types.is_bool_dtype(values):
-        return "flag"
-    if pd.api.types.is_integer_dtype(values):
-        return "integer"
-    return "number" if pd.api.types.is_numeric_dtype(values) else "text"
-
-
-def _make_sample() -> DataFrame:
-    """Make a table with the dictionary's own columns, which it describes too."""
-    import pandas as pd
-
-    return pd.DataFrame([asdict(read_dictionary()[0])])

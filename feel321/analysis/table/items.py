@@ -1,17 +1,12 @@
 """Ratings in memory: the table, the rows that count, and arrays of ratings and metrics per item.
 
-Conventions: an item is a stimulus; a cell is the mean of a participant's repeated ratings of an item, NaN
-where they gave none; only items with role ``test`` count, because the hidden reference and the anchors are
-chosen to be far apart and would inflate every correlation.
-
-Conventions: every public function that takes ratings passes them through `open_ratings` first. The index of a table
-means nothing; a row is one judgement. A judgement marked in a column ``rejected`` does not count, whatever its rating;
-the notes count them. A stimulus is named by ``stimulus_id``, or by recording, reducer and level together, or else by
-``stimulus`` or ``item``.
-
-Whatever is said about other recordings rests on how many different things were recorded. Where several recordings come
-from one source, intervals draw sources, with all their recordings, mixed models hold what the recordings of a source
-share, and the count of sources is reported.
+Conventions: an item is a stimulus; a cell is the mean of a participant's repeated ratings of an item, NaN for none;
+only items with role ``test`` count, because the hidden reference and the anchors are chosen to be far apart and would
+inflate every correlation. Every public function that takes ratings passes them through `open_ratings` first: the index
+of a table means nothing, a row is one judgement. A judgement marked in a column ``rejected`` does not count, whatever
+its rating; the notes count them. A stimulus is named by ``stimulus_id``, or by recording, reducer and level together,
+or else by ``stimulus`` or ``item``. What is said of other recordings rests on how many different things were recorded:
+intervals draw sources, with all their recordings, and mixed models hold what those of a source share.
 """
 
 from __future__ import annotations
@@ -36,14 +31,9 @@ if TYPE_CHECKING:
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
 
-OTHER = "other_id"
-"""Column of the second stimulus of a choice."""
-
-SPOKEN = ("stimulus", "item")
-"""Other names of the column ``stimulus_id``."""
-
-ARMS = ("scale", "level")
-"""Columns of which one model or one correlation takes a single value."""
+OTHER = "other_id"  # Column of the second stimulus of a choice
+SPOKEN = ("stimulus", "item")  # Other names of the column `stimulus_id`
+ARMS = ("scale", "level")  # Columns of which one model or one correlation takes a single value
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -55,10 +45,9 @@ class Table(Result):
     rows : DataFrame
         One row per judgement: participant, stimulus_id, reference_id, reference_reducer and other_id (which may be
         empty), source, recording, reducer, level, role, matched, scale, repeat, rating, simulated, protocol and
-        response_time_s if there are any, one column per metric and further metric, rms_m_s2 if there is one,
-        interaction and sample of the recording if given, and one per label of the participants. The role is the one
-        that the stimulus had in that judgement; matched is whether the metrics describe that judgement; a dissimilarity
-        is about the stimulus compared with the reference.
+        response_time_s if there are any, one column per metric and further metric, rms_m_s2 if there is one, one per
+        label of the participants. The role is the one that the stimulus had in that judgement; matched is whether the
+        metrics describe that judgement; a dissimilarity is about the stimulus compared with the reference.
     metrics : tuple of str
         The metrics that the primary analysis is about, as they were declared.
     notes : tuple of str
@@ -111,11 +100,7 @@ class Table(Result):
         Table
             The same metrics and notes, and fewer rows.
         """
-        rows = self.rows
-        for column, name in (("scale", scale), ("level", level)):
-            if name is not None:
-                rows = rows[rows[column] == check_name(name, sorted(rows[column].unique()), column)]
-        return replace(self, rows=rows.reset_index(drop=True))
+        return replace(self, rows=_choose(self.rows, scale, level).reset_index(drop=True))
 
     def items(self) -> DataFrame:
         """Average the ratings of every stimulus.
@@ -161,15 +146,10 @@ class Table(Result):
         str
             Counts, metrics and notes, one per line.
         """
-        counts = (
-            f"{self.rows[name].nunique()} {name.removesuffix('_id')}s"
-            for name in ("participant", STIMULUS, "recording", "reducer", *ARMS)
-        )
-        return "\n".join((
-            f"{len(self.rows)} judgements: {', '.join(counts)}",
-            f"metrics: {', '.join(self.metrics)}",
-            *self.notes,
-        ))
+        names = ("participant", STIMULUS, "recording", "reducer", *ARMS)
+        counts = (f"{self.rows[name].nunique()} {name.removesuffix('_id')}s" for name in names)
+        held = f"{len(self.rows)} judgements: {', '.join(counts)}"
+        return "\n".join((held, f"metrics: {', '.join(self.metrics)}", *self.notes))
 
 
 def is_tidy(given: object) -> TypeGuard[Table | DataFrame]:
@@ -190,17 +170,22 @@ def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFr
 
     ratings = ratings.rows if isinstance(ratings, Table) else ratings
     if not isinstance(ratings, DataFrame):
-        raise TypeError(
-            f"{what} must be a Table or a pandas DataFrame, one row per judgement, got {type(ratings).__name__}"
-        )
+        got = type(ratings).__name__
+        raise TypeError(f"{what} must be a Table or a DataFrame, one row per judgement, got {got}")
     named = ratings.index.to_frame(index=False) if any(ratings.index.names) else DataFrame()
     kept = [name for name in named if name in ratings.index.names and name not in ratings]
     table = ratings.reset_index(drop=True).assign(**{str(name): named[name] for name in kept})
     if twice := table.columns[table.columns.duplicated()].tolist():
-        raise ValueError(
-            f"{what} must have one column of each name, got two columns {twice[0]!r}; rename or drop one"
-        )
+        raise ValueError(f"{what} must have one column of each name, got two columns {twice[0]!r}")
     return table
+
+
+def _choose(rows: DataFrame, scale: str | None, level: str | None) -> DataFrame:
+    for column, name in (("scale", scale), ("level", level)):
+        if name is not None:
+            known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
+            rows = rows[known == check_name(name, sorted(known.unique()), column)]
+    return rows
 
 
 def choose_arms(
@@ -209,12 +194,7 @@ def choose_arms(
     """Take the ratings of one scale and level where these are named; of a DataFrame, with a plain index."""
     if isinstance(ratings, Table):
         return ratings.select(scale, level=level)
-    rows = open_ratings(ratings)
-    for column, name in (("scale", scale), ("level", level)):
-        if name is not None:
-            known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
-            rows = rows[known == check_name(name, sorted(known.unique()), column)]
-    return rows
+    return _choose(open_ratings(ratings), scale, level)
 
 
 def choose_metrics(ratings: Table | DataFrame, metrics: Iterable[str] | None) -> tuple[str, ...]:
@@ -226,28 +206,30 @@ def choose_metrics(ratings: Table | DataFrame, metrics: Iterable[str] | None) ->
     return names
 
 
-def choose_info(ratings: Table | DataFrame) -> Mapping[str, MetricInfo]:
-    """Take what metrics declare from a Table; a DataFrame says nothing of it."""
-    return ratings.info if isinstance(ratings, Table) else {}
-
-
 def refuse_pooled(rows: DataFrame, *, metrics: Collection[str] = (), what: str = "ratings") -> None:
     """Refuse rows of several scales or several levels: their ratings are not about one thing."""
     for column in (name for name in ARMS if name in rows and name not in metrics):
         names = sorted(map(str, rows[column].unique()))
         if len(names) > 1:
-            raise ValueError(
-                f"{what} must be of one {column}, got the {column}s {', '.join(names)}; select one, as with "
-                f"table.select({column}=...), or fit a model to each with fit_attributes"
-            )
+            got = f"{what} must be of one {column}, got the {column}s {', '.join(names)}"
+            how = f"select one, as with table.select({column}=...), or use fit_attributes"
+            raise ValueError(f"{got}; {how}")
 
 
 def leave_rejected(
     ratings: DataFrame, *, what: str = "ratings"
 ) -> tuple[DataFrame, tuple[str, ...]]:
     """Leave out judgements that are marked as rejected."""
-    rejected = _read_marks(ratings[REJECTED]) if REJECTED in ratings else None
-    if rejected is None or not (n := int(rejected.sum())):
+    if REJECTED not in ratings:
+        return ratings, ()
+    marks = ratings[REJECTED]
+    words = marks.astype(object).where(marks.notna(), "").astype(str).str.strip().str.lower()
+    words = words.str.removesuffix(".0")
+    if len(odd := marks[~words.isin(YES | NO)]):
+        must = "true, false, 1, 0, yes, no or empty"
+        raise ValueError(f"ratings: column '{REJECTED}' must be {must}, got {odd.iloc[0]!r}")
+    rejected = words.isin(YES)
+    if not (n := int(rejected.sum())):
         return ratings, ()
     if n == len(ratings):
         raise ValueError(f"{what}: all {n} judgements are marked as rejected; one must be valid")
@@ -257,36 +239,31 @@ def leave_rejected(
 
 def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     """Leave out hidden references and anchors: chosen to be far apart, they would inflate every slope."""
-    if ROLE not in ratings:
+    tested = ratings[ROLE] == TEST if ROLE in ratings else None
+    if tested is None or tested.all():
         return ratings, ()
-    tested = ratings[ROLE] == TEST
-    if not (n := int((~tested).sum())):
-        return ratings, ()
+    n, what = (
+        int((~tested).sum()),
+        "of other stimuli than test stimuli (hidden references, anchors)",
+    )
     if n == len(ratings):
         raise ValueError(f"ratings must be of test stimuli, got no row with role 'test' among {n}")
-    what = "of other stimuli than test stimuli (hidden references, anchors)"
     note = f"{n} rating {what} is left out." if n == 1 else f"{n} ratings {what} are left out."
     return ratings[tested], (note,)
 
 
-def _read_marks(marks: Series) -> Series:
-    if marks.dtype == bool:
-        return marks
-    words = marks.astype(object).where(marks.notna(), "").astype(str).str.strip().str.lower()
-    words = words.str.removesuffix(".0")
-    if len(odd := marks[~words.isin(YES | NO)]):
-        raise ValueError(
-            f"ratings: column '{REJECTED}' must be true, false, 1, 0, yes, no or empty, got {odd.iloc[0]!r}"
-        )
-    return words.isin(YES)
-
-
 def name_stimuli(ratings: DataFrame) -> DataFrame:
-    """Give a table the column ``stimulus_id`` where another column is meant as that."""
-    spoken = [name for name in SPOKEN if name in ratings]
-    if STIMULUS in ratings or not spoken or {"recording", "reducer"} <= set(ratings):
+    """Give a table the column ``stimulus_id``, where recording, reducer and level, or another column, name stimuli."""
+    if STIMULUS in ratings:
         return ratings
-    return ratings.assign(**{STIMULUS: ratings[spoken[0]]})
+    if {"recording", "reducer"} <= set(ratings):
+        keys = [name for name in NAMING if name in ratings]
+        names = ratings[keys[0]].astype(str)
+        for key in keys[1:]:
+            names = names + "/" + ratings[key].astype(str)
+        return ratings.assign(**{STIMULUS: names.where(ratings[keys].notna().all(axis=1))})
+    spoken = next((name for name in SPOKEN if name in ratings), None)
+    return ratings.assign(**{STIMULUS: ratings[spoken]}) if spoken else ratings
 
 
 def name_items(ratings: DataFrame) -> DataFrame:
@@ -294,20 +271,7 @@ def name_items(ratings: DataFrame) -> DataFrame:
     if "item" in ratings:
         return ratings
     named = name_stimuli(ratings)
-    if STIMULUS in named:
-        return named.assign(item=named[STIMULUS])
-    if not {"recording", "reducer"} <= set(named):
-        return named
-    keys = [name for name in NAMING if name in named]
-    return named.assign(item=named.groupby(keys, observed=True, dropna=False).ngroup())
-
-
-def find_keys(ratings: DataFrame) -> list[str]:
-    """Find the columns that name a stimulus, or that would."""
-    if STIMULUS in ratings:
-        return [STIMULUS]
-    keys = [name for name in NAMING if name in ratings]
-    return keys if keys != ["recording"] else [*keys, "reducer"]
+    return named.assign(item=named[STIMULUS]) if STIMULUS in named else named
 
 
 def open_tests(
@@ -316,8 +280,8 @@ def open_tests(
     """Open the ratings of test stimuli of one scale and level, with finite ratings and metrics; also notes."""
     metrics = as_names(metrics, "metrics")
     table, notes = leave_rejected(name_stimuli(open_ratings(ratings)))
-    keys = find_keys(table) if "recording" in named else []
-    check_columns(table, [*named, *keys, "participant", "rating", *metrics], "ratings")
+    names = ["participant", *named, *[STIMULUS] * ("recording" in named)]
+    check_columns(table, [*names, "rating", *metrics], "ratings")
     rows = table[table[ROLE] == TEST] if ROLE in table else table
     if isinstance(ratings, Table) and not (matched := rows["matched"]).all():
         rows = rows[matched]
@@ -325,25 +289,22 @@ def open_tests(
     if rows.empty:
         raise ValueError("ratings must be of test stimuli, got no row with role 'test'")
     refuse_pooled(rows, metrics=metrics)
-    _refuse_unnamed(rows, ["participant", *named, *keys])
-    values = {
-        name: read_numbers(rows[name], what=f"ratings, {name!r}") for name in ("rating", *metrics)
-    }
-    for name, numbers in values.items():
+    _refuse_unnamed(rows, names)
+    for name in ("rating", *metrics):
+        numbers = read_numbers(rows[name], what=f"ratings, {name!r}")
         if bad := int((~np.isfinite(numbers)).sum()):
-            raise ValueError(
-                f"ratings: column '{name}' must be finite, got {bad} values that are not finite; leave them out"
-            )
-    return rows.assign(**values), notes
+            got = f"got {bad} values that are not finite; leave them out"
+            raise ValueError(f"ratings: column '{name}' must be finite, {got}")
+        rows = rows.assign(**{name: numbers})
+    return rows, notes
 
 
 def _refuse_unnamed(rows: DataFrame, names: Iterable[str]) -> None:
     """Refuse rows without a name: grouped by it they would be dropped in silence."""
     for name in names:
         if missing := int(rows[name].isna().sum()):
-            raise ValueError(
-                f"ratings must name a {name} in each row, got {missing} without; name it or leave them out"
-            )
+            must, do = f"ratings must name a {name} in each row", "name it or leave them out"
+            raise ValueError(f"{must}, got {missing} without; {do}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -359,16 +320,12 @@ class Part:
     @property
     def ratings(self) -> str:
         """How to call it within a sentence."""
-        return f"{format_name(self.scale)} ratings" + self._where
+        return f"{format_name(self.scale)} ratings" + format_level(self.level * self.several)
 
     @property
     def subject(self) -> str:
         """How to call it at the head of a line."""
-        return capitalise(format_name(self.scale)) + self._where
-
-    @property
-    def _where(self) -> str:
-        return format_level(self.level * self.several)
+        return capitalise(format_name(self.scale)) + format_level(self.level * self.several)
 
     @property
     def place(self) -> tuple[str, str]:
@@ -433,20 +390,13 @@ def find_sources(rows: Table | DataFrame) -> Series:
     pairs = table[named].drop_duplicates().astype(object).sort_values("recording")
     found = pairs.set_index("recording", drop=False)[named[-1]].rename("source")
     if len(twice := found.index[found.index.duplicated()]):
-        raise ValueError(
-            f"ratings must have one source per recording, got two sources of recording {twice[0]}"
-        )
+        got = f"got two sources of recording {twice[0]}"
+        raise ValueError(f"ratings must have one source per recording, {got}")
     return found.where(found.notna() & (found != ""), found.index)
 
 
 def format_recordings(recordings: int, sources: int) -> str:
-    """Say how many recordings there are, and how many things happened that they record.
-
-    Examples
-    --------
-    >>> format_recordings(12, 4), format_recordings(3, 1), format_recordings(1, 1)
-    ('12 recordings of 4 sources', '3 recordings of 1 source', '1 recording')
-    """
+    """Say how many recordings there are, and of how many sources: "12 recordings of 4 sources"."""
     of = "" if sources >= recordings else f" of {sources} source{'s' if sources != 1 else ''}"
     return f"{recordings} recording{'s' if recordings != 1 else ''}{of}"
 
@@ -455,11 +405,10 @@ def format_recordings(recordings: int, sources: int) -> str:
 class Items:
     """Ratings and metrics of the items of one scale.
 
-    ratings: (n_participants, n_items), NaN where there is none; metrics: (n_metrics, n_items);
-    recordings: (n_items,), number of the recording that each item was made from, counted from 0;
-    sources: (n_recordings,), number of the source that each recording comes from, counted from 0:
-    several may be one, turned, cut or edited; reducers: (n_items,), number of the reducer, None where no reducer
-    made stimuli of several recordings: nothing is then known of what stimuli of one reducer share.
+    ratings: (n_participants, n_items), NaN where there is none; metrics: (n_metrics, n_items); recordings: (n_items,),
+    number of the recording that each item was made from, from 0; sources: (n_recordings,), number of the source of each
+    recording, from 0; reducers: (n_items,), number of the reducer, None where none made stimuli of several recordings:
+    nothing is then known of what stimuli of one reducer share.
     """
 
     names: tuple[str, ...]
@@ -511,11 +460,10 @@ def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
     from pandas import Series, factorize
 
     rows, notes = open_tests(ratings, metrics, named=["recording"])
-    item, names = _number_items(rows)
+    item, names = factorize(rows[STIMULUS], sort=True)
     person = factorize(rows["participant"], sort=True)[0]
     rating = rows["rating"].to_numpy()
-    # Sorting by rating too makes the sums below, and so the last digit of every result, independent of row
-    # order.
+    # Sorting by rating too makes the sums below, and so the last digit of every result, independent of row order.
     order = np.lexsort((rating, person, item))
     item, person = item[order], person[order]
     first = np.searchsorted(item, np.arange(len(names)))
@@ -524,48 +472,19 @@ def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
         values = rows[name].to_numpy()[order]
         facts[name] = values[first]
         if len(varying := item[values != facts[name][item]]):
-            raise ValueError(
-                f"ratings: column '{name}' must be the same in all rows of a stimulus, got several for "
-                f"{names[varying[0]]}"
-            )
+            must = f"ratings: column '{name}' must be the same in all rows of a stimulus"
+            raise ValueError(f"{must}, got several for {names[varying[0]]}")
     cells = np.full((person.max() + 1, len(names)), np.nan)
     means = Series(rating[order]).groupby(item * len(cells) + person).mean()
     cells[means.index % len(cells), means.index // len(cells)] = means
-    return Items(
-        names=names,
-        ratings=cells,
-        metrics=np.array([facts[name] for name in metrics]),
-        recordings=np.unique(facts["recording"], return_inverse=True)[1],
-        sources=factorize(find_sources(rows).to_numpy(), sort=True)[0]
-        if "source" in rows
-        else None,
-        notes=notes,
-        reducers=_number_reducers(rows, item=item, order=order, first=first),
-    )
-
-
-def _number_reducers(
-    rows: DataFrame, *, item: NDArray[np.intp], order: NDArray[np.intp], first: NDArray[np.intp]
-) -> NDArray[np.intp] | None:
-    """Find the number of each stimulus's reducer; None if not known, or if none made stimuli of several recordings."""
-    from pandas import factorize
-
-    if "reducer" not in rows or rows["reducer"].isna().any():
-        return None
-    of_row = factorize(rows["reducer"], sort=True)[0][order]
-    numbers = np.asarray(of_row[first], dtype=np.intp)
-    crossed = len(np.unique(rows["recording"])) > 1 and len(np.unique(numbers)) < len(numbers)
-    return numbers if crossed and (of_row == numbers[item]).all() else None
-
-
-def _number_items(rows: DataFrame) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Find the number of every row's stimulus, counted from 0 in the order of their names; and the names."""
-    from pandas import factorize
-
-    keys = find_keys(rows)
-    if len(keys) == 1:
-        of_row, names = factorize(rows[keys[0]], sort=True)
-        return np.asarray(of_row, dtype=np.intp), tuple(map(str, names))
-    number = np.asarray(rows.groupby(keys, observed=True).ngroup(), dtype=np.intp)
-    named = rows[keys].iloc[np.unique(number, return_index=True)[1]]
-    return number, tuple("/".join(map(str, key)) for key in named.itertuples(index=False))
+    recordings = np.unique(facts["recording"], return_inverse=True)[1]
+    sources = reducers = None
+    if "source" in rows:
+        sources = factorize(find_sources(rows).to_numpy(), sort=True)[0]
+    if "reducer" in rows and not rows["reducer"].isna().any():
+        of_row = factorize(rows["reducer"], sort=True)[0][order]
+        numbers = np.asarray(of_row[first], dtype=np.intp)
+        crossed = recordings.max() > 0 and len(np.unique(numbers)) < len(numbers)
+        reducers = numbers if crossed and (of_row == numbers[item]).all() else None
+    values = np.array([facts[name] for name in metrics])
+    return Items(tuple(map(str, names)), cells, values, recordings, sources, notes, reducers)

@@ -26,12 +26,8 @@ if TYPE_CHECKING:
 DECLARED = "manifest.json"
 """File beside a manifest whose ``metrics`` say what the columns of metrics are."""
 
-TENTH = 0.1
-"""Step of a metric that is a share, such as a match from 0 to 1."""
-
-ROUNDING = 1e-9
-"""Share of a bound by which a value may pass it: files hold rounded numbers."""
-
+TENTH = 0.1  # Step of a metric that is a share, such as a match from 0 to 1
+ROUNDING = 1e-9  # Share of a bound by which a value may pass it: files hold rounded numbers
 KINDS: Mapping[str, tuple[str, str]] = {
     "rotation_mean": ("mean of the {} over random orientations of the sensor", ""),
     "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", ""),
@@ -65,13 +61,7 @@ def describe_further() -> dict[str, str]:
 
 
 def describe_explored(metrics: Sequence[str]) -> dict[str, str]:
-    """Say what the columns of metrics are that an analysis of other metrics explores.
-
-    Examples
-    --------
-    >>> list(describe_explored(["spectral_match_bounded", "temporal_match"]))[:1]
-    ['spectral_match']
-    """
+    """Say what the columns of metrics are that an analysis of other metrics explores."""
     every = {name: METRIC_INFO[name].label for name in WRITTEN} | describe_further()
     return {name: meaning for name, meaning in every.items() if name not in metrics}
 
@@ -87,12 +77,12 @@ def list_numeric(cells: DataFrame) -> list[str]:
     """List the columns, read as text, that hold numbers and are no identity: all that may be used as a metric."""
     import pandas as pd
 
-    def is_numeric(name: str) -> bool:
+    found = []
+    for name in (name for name in map(str, cells) if name not in schema.NOT_METRICS):
         filled = cells.loc[cells[name] != "", name]
         share = pd.to_numeric(filled, errors="coerce").notna().mean() if len(filled) else 0
-        return bool(share > schema.MOSTLY)
-
-    return [name for name in map(str, cells) if name not in schema.NOT_METRICS and is_numeric(name)]
+        found += [name] if share > schema.MOSTLY else []
+    return found
 
 
 UNUSED = {name for name, column in schema.MANIFEST.items() if not column.used}
@@ -144,8 +134,7 @@ def make_info(name: str, facts: Mapping[str, object]) -> MetricInfo:
     """Make what a metric declares of the facts that a file gives; null and what is missing are the defaults."""
     wanted = {field.name for field in fields(MetricInfo)}
     given = {key: value for key, value in facts.items() if key in wanted and value is not None}
-    for key in {"low", "high"} & set(given):
-        given[key] = float(str(given[key]))
+    given |= {end: float(str(given[end])) for end in ("low", "high") if end in given}
     try:
         return MetricInfo(**{"label": name, **given})  # type: ignore[arg-type]  # MetricInfo checks them
     except ValueError as error:
@@ -158,9 +147,8 @@ def refuse_unbounded(
     """Refuse values beyond bounds that a study or manifest states; note those beyond bounds of our own metrics."""
     for name in (name for name in info if name in sheet):
         one, values = info[name], sheet[name]
-        slack = ROUNDING * max(
-            (abs(end) for end in (one.low, one.high) if math.isfinite(end)), default=0.0
-        )
+        ends = [abs(end) for end in (one.low, one.high) if math.isfinite(end)]
+        slack = ROUNDING * max(ends, default=0.0)
         beyond = values[(values < one.low - slack) | (values > one.high + slack)]
         if beyond.empty:
             continue
@@ -169,17 +157,12 @@ def refuse_unbounded(
             schema.refuse_lines(beyond, what, must=f"be {format_bounds(one)}", do=do)
         first = schema.shorten(str(sheet.loc[beyond.index[0], "stimulus_id"]))
         side = f"above {one.high:g}" if beyond.iloc[0] > one.high else f"below {one.low:g}"
-        yield f"'{name}' is {side}, which no match can be, for {len(beyond)} stimuli, first {first}."
+        many = f"for {len(beyond)} stimuli, first {first}"
+        yield f"'{name}' is {side}, which no match can be, {many}."
 
 
 def format_bounds(info: MetricInfo) -> str:
-    """Write the range of a metric.
-
-    Examples
-    --------
-    >>> format_bounds(MetricInfo("a", low=0, high=1)), format_bounds(MetricInfo("a", high=1))
-    ('0 to 1', '1 or less')
-    """
+    """Write the range of a metric, such as "0 to 1"."""
     if math.isfinite(info.low + info.high):
         return f"{info.low:g} to {info.high:g}"
     if math.isfinite(info.high):
@@ -197,10 +180,9 @@ class Step(NamedTuple):
 def find_steps(
     items: DataFrame, metrics: Iterable[str], info: Mapping[str, MetricInfo]
 ) -> dict[str, Step]:
-    """Choose the step of each metric by which slopes are reported: 0.1 of a match, else a power of ten.
+    """Choose the step of each metric by which slopes are reported: 0.1 of a match or other share without a unit.
 
-    A metric of at most 1 without a unit is a share of 1. Of any other the step is the largest power of ten that is
-    not above the distance between its quartiles within recordings: 10 of a level in dB that differs by 25.
+    Of any other it is the largest power of ten not above the distance of its quartiles within recordings.
     """
     steps = {}
     for name in metrics:

@@ -16,25 +16,13 @@ from feel321.names import REDUCER_NAMES
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-NAMED = 3
-"""How many names a note lists before it only counts."""
-
-SHORT = 10
-"""Points below which a scale's highest rating makes one doubt that it went to 100."""
-
-SPACE = (
-    "Where a map of the dissimilarities can be made, it is shown under The space of what was felt."
-)
+NAMED = 3  # How many names a note lists before it only counts
+SHORT = 10  # Points below which a scale's highest rating makes one doubt that it went to 100
+SPACE = "Where a map of the dissimilarities can be made, see The space of what was felt."
 
 
 def list_names(names: Sequence[str]) -> str:
-    """List names for a note.
-
-    Examples
-    --------
-    >>> list_names(["a", "b", "c", "d", "e"])
-    "'a', 'b', 'c' and 2 more"
-    """
+    """List names for a note; of more than three, the others are counted."""
     more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
     return ", ".join(shorten(name) for name in names[:NAMED]) + more
 
@@ -44,10 +32,8 @@ def note_scales(sheet: DataFrame) -> Iterator[str]:
     for scale, rows in sheet.groupby("scale"):
         name, low, high = shorten(str(scale)), rows["rating"].min(), rows["rating"].max()
         if low < high <= SHORT:
-            yield (
-                f"Ratings of scale {name} run from {low:g} to {high:g}: if 100 was not its upper end, rescale them to "
-                "0 to 100."
-            )
+            do = "if 100 was not its upper end, rescale them to 0 to 100"
+            yield f"Ratings of scale {name} run from {low:g} to {high:g}: {do}."
         tasks = sorted(rows["protocol"].unique()) if "protocol" in rows else []
         if len(tasks) > 1:
             listed = list_names(tasks)
@@ -82,10 +68,11 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
     if sources == 1 < recordings:
         yield f"{start}: they are not independent, and the results do not extend to other sources."
     elif sources < recordings:
-        yield (
-            f"{start}: they are not independent, and what is said of others rests on sources. Two-way intervals draw "
-            "them; mixed models hold what the recordings of a source share, as a whole and reducer by reducer."
+        draws = (
+            "Two-way intervals draw them; mixed models hold what the recordings of a source share"
         )
+        what = "they are not independent, and what is said of others rests on sources"
+        yield f"{start}: {what}. {draws}, as a whole and reducer by reducer."
 
 
 def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
@@ -116,10 +103,8 @@ def note_lookalikes(rows: DataFrame) -> Iterator[str]:
         looks = {name: look(name) for name in sorted(rows[column].unique())}
         times = Counter(looks.values())
         if alike := [name for name, seen in looks.items() if times[seen] > 1]:
-            yield (
-                f"Names in column '{column}' that differ in capitals, accents or blanks only are taken as different: "
-                f"{list_names(alike)}."
-            )
+            how = "that differ in capitals, accents or blanks only are taken as different"
+            yield f"Names in column '{column}' {how}: {list_names(alike)}."
 
 
 def note_apart(rows: DataFrame) -> Iterator[str]:
@@ -130,17 +115,15 @@ def note_apart(rows: DataFrame) -> Iterator[str]:
         none = f"Scale '{scale}': none of its {n} judgements enters an association, because"
         pairs, turned = (int((own[ROLE] == role).sum()) for role in (schema.PAIR, TEST))
         if scale == schema.ANSWERED:
-            yield (
-                f"{none} they are right (100) or wrong (0). The profile holds the percentage correct; "
-                "guessing gives 50."
-            )
+            what = "they are right (100) or wrong (0). The profile holds the percentage correct"
+            yield f"{none} {what}; guessing gives 50."
         elif scale in schema.CHOSEN:
-            yield f"{none} one of two stimuli was chosen. They are evaluated under Choices between two stimuli."
+            where = "They are evaluated under Choices between two stimuli"
+            yield f"{none} one of two stimuli was chosen. {where}."
         elif not turned:
-            yield (
-                f"{none} a metric describes one stimulus and they compare two. The profile holds the {n - pairs} that "
-                f"compare with the reference, and leaves out {pairs}. {SPACE}"
-            )
+            why = "a metric describes one stimulus and they compare two"
+            held = f"The profile holds the {n - pairs} that compare with the reference"
+            yield f"{none} {why}. {held}, and leaves out {pairs}. {SPACE}"
         else:
             yield (
                 f"Scale '{scale}': {turned} of its {n} judgements compare a reduction with its original. Those enter "
@@ -156,7 +139,6 @@ def note_gains(rows: DataFrame) -> Iterator[str]:
     gains = rows[schema.GAIN].dropna() if schema.GAIN in rows else rows["rating"].iloc[:0]
     if (gains != 1).any():
         span = " to ".join(dict.fromkeys([f"{gains.min():.3g}", f"{gains.max():.3g}"]))
-        yield (
-            f"Scale '{rows['scale'].iloc[0]}': beside the real surface, stimuli were played at {span} times the "
-            "strength that was recorded, so ratings mix strength with likeness."
-        )
+        played = f"stimuli were played at {span} times the strength that was recorded"
+        mixed = "so ratings mix strength with likeness"
+        yield f"Scale '{rows['scale'].iloc[0]}': beside the real surface, {played}, {mixed}."

@@ -1,22 +1,21 @@
 """Ratings joined with their stimuli, labels and further metrics: one tidy table, or one clear line about what is wrong.
 
-Conventions: ratings run from 0 to 100; one row per judgement; recording, reducer, level, role and the metrics
-of a stimulus come from the manifest. `reference_id` names another stimulus, or `surface`, or is empty. A dissimilarity
-has no direction, so it is about whichever of the two stimuli is not the reference. Nothing is repaired and nothing is
-dropped silently: what is left out, or assumed because a column is missing, is in `Table.notes`.
+Conventions: ratings run from 0 to 100; one row per judgement; recording, reducer, level, role and the metrics of a
+stimulus come from the manifest. `reference_id` names another stimulus, or `surface`, or is empty. Nothing is repaired
+and nothing is dropped silently: what is left out, or assumed because a column is missing, is in `Table.notes`.
 
 A study whose participants differ, in how they hold the tool for example, writes `participants.csv` with a column for
-each such factor. Its columns become columns of the judgements; no test compares groups of people.
+each such factor: they become columns of the judgements; no test compares groups of people.
 
-Any numeric column of the manifest is a metric (`feel321.analysis.table.metrics`). Further metrics are the rotation
-statistics of the metrics, the metrics of signals as they were delivered, and counterparts that no orientation of the
-sensor changes. A stimulus has them from the manifest, from the ratings (the mean over its judgements), or from the
-caller. They are explored, so no primary analysis and no correction for several tests holds them, unless the analysis
-declares them as its metrics.
+Any numeric column of the manifest is a metric. Further metrics are the rotation statistics of the metrics, the metrics
+of signals as they were delivered, and counterparts that no orientation of the sensor changes. A stimulus has them from
+the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored, so no primary
+analysis and no correction for several tests holds them, unless the analysis declares them as its metrics.
 """
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321 import intake
 from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import schema
@@ -54,7 +54,6 @@ ECHOED = ("recording", "reducer", "level")
 
 OPTIONAL = (
     "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
-    *schema.LABELS,
 )  # fmt: skip
 """Columns that judgements keep where there are any."""
 
@@ -74,14 +73,12 @@ class Further:
 
     rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
     mountings: recording, reducer and metric with mean and quantiles over orientations of the sensor, if computed.
-    labels: interaction and sample of each recording, by its name, where the manifest does not say them.
     """
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
     rivals: tuple[str, ...] = ()
     mountings: DataFrame | None = None
-    labels: DataFrame | None = None
 
 
 class Source(NamedTuple):
@@ -137,94 +134,75 @@ def read_table(
     >>> analysis.read_table(ratings, manifest).metrics
     ('temporal_match',)
     """
+    from pandas import DataFrame
+
     if manifest is None:
         ratings, manifest = find_tables(ratings)
     judged, listed = _open_source(ratings, "ratings"), _open_source(manifest, "manifest")
-    given = further or Further(_make_empty())
+    given = further or Further(DataFrame())
     stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources or {}, given=given)
     names = dict.fromkeys([*planned, *given.rivals, *metrics_of.describe_explored(())])
     held = [name for name in names if name in stimuli or name in {*planned, *given.rivals}]
     known, stated = metrics_of.gather_info(held, info, listed.given)
     notes += metrics_of.refuse_unbounded(stimuli, listed.what, info=known, stated=stated)
-    for name in schema.LABELS:
-        if given.labels is not None and name in given.labels and name not in stimuli:
-            of_recording = stimuli["recording"].map(given.labels[name])
-            stimuli[name] = of_recording.fillna("").astype(str)
     stimuli = stimuli.set_index(STIMULUS)
     rows, more_notes = read_ratings(*judged)
     _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
     stimuli, joined = _join_further(stimuli, rows, given, names=(judged.what, listed.what))
     notes += [*given.notes, *joined, *more_notes]
-    rows = _turn_pairs(rows, stimuli, judged.what)
-    rows = rows.drop(columns=[name for name in rows if name in stimuli]).join(stimuli, on=STIMULUS)
-    rows[ROLE] = _find_roles(rows, stimuli)
-    references = _find_references(rows, stimuli)
-    rows["matched"] = references.isin(["", SURFACED, UNLISTED])
-    rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
-    notes += remarks.note_gaps(rows, stimuli, planned)
-    notes += _note_references(rows, references)
+    rows, told = _join_stimuli(rows, stimuli, judged.what)
+    notes += [*remarks.note_gaps(rows, stimuli, planned), *told]
     notes += [*remarks.note_sources(rows), *remarks.note_lookalikes(rows)]
-    sheets = judged, listed
-    return _make_table(rows, stimuli, planned, sheets=sheets, given=given, info=known, notes=notes)
+    explored, compared = _choose_further(rows, planned, given=given, notes=notes)
+    columns = dict.fromkeys([*planned, *explored, *compared])
+    optional = [name for name in OPTIONAL if name in rows and name not in planned]
+    rows = rows[[
+        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
+        "scale", "repeat", "rating", "simulated", *optional, *columns,
+    ]].reset_index(drop=True)  # fmt: skip
+    rows, more_notes = _join_roster(rows, judged.given)
+    sheet = stimuli[["source", *ECHOED, ROLE, *columns]]
+    if (rows["scale"] == schema.PAIRED).any():
+        more = metrics_of.read_attributes(listed.given)
+        sheet = sheet.join(more[[name for name in more if name not in sheet]])
+    return Table(rows, planned, (*notes, *more_notes), explored, compared, known, sheet)
 
 
-def _make_empty() -> DataFrame:
-    from pandas import DataFrame
-
-    return DataFrame()
-
-
-def _make_table(  # noqa: PLR0913 - what was read, and from where
-    rows: DataFrame, stimuli: DataFrame, planned: tuple[str, ...], *, sheets: tuple[Source, Source], given: Further,
-    info: Mapping[str, MetricInfo], notes: list[str],
-) -> Table:  # fmt: skip
-    """Select the columns of a table, find the metrics that are explored and compared, and join labels."""
+def _choose_further(
+    rows: DataFrame, planned: tuple[str, ...], *, given: Further, notes: list[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Choose the metrics that are explored, and those that are compared: all test stimuli must have them."""
     tests = rows[rows[ROLE] == TEST]
     for name in (name for name in planned if name in given.metrics):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
         if len(lacking):
-            raise ValueError(
-                f"metrics: got {name!r}, which {len(lacking)} rated test stimuli lack, first "
-                f"{schema.shorten(str(lacking[0]))}; name another metric, or leave them out. {' '.join(given.notes)}"
-            )
+            first = schema.shorten(str(lacking[0]))
+            got = f"got {name!r}, which {len(lacking)} rated test stimuli lack, first {first}"
+            do = "name another metric, or leave them out"
+            raise ValueError(f"metrics: {got}; {do}. {' '.join(given.notes)}")
     known = [name for name in metrics_of.describe_explored(planned) if name in tests]
-    explored = tuple(name for name in known if tests[name].notna().all())
     rivals = dict.fromkeys([*planned, *given.rivals] if given.rivals else ())
-    compared = tuple(name for name in rivals if tests[name].notna().all())
-    if bare := [name for name in rivals if name not in compared]:
-        notes.append(f"Not compared, because some rated test stimuli have no value: {', '.join(bare)}.")  # fmt: skip
-    metrics = list(dict.fromkeys([*planned, *explored, *compared]))
-    selected = rows[[
-        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
-        "scale", "repeat", "rating", "simulated", *(name for name in OPTIONAL if name in rows and name not in planned),
-        *metrics,
-    ]].reset_index(drop=True)  # fmt: skip
-    selected, more_notes = _join_roster(selected, sheets[0].given)
-    labels = [name for name in schema.LABELS if name in stimuli]
-    sheet = stimuli[["source", *ECHOED, ROLE, *metrics, *labels]]
-    if (rows["scale"] == schema.PAIRED).any():
-        more = metrics_of.read_attributes(sheets[1].given)
-        sheet = sheet.join(more[[name for name in more if name not in sheet]])
-    told = (*notes, *more_notes)
-    return Table(selected, planned, told, explored, compared, info, sheet)
+    bare = [name for name in rivals if tests[name].isna().any()]
+    if bare:
+        why = "because some rated test stimuli have no value"
+        notes.append(f"Not compared, {why}: {', '.join(bare)}.")
+    explored = tuple(name for name in known if tests[name].notna().all())
+    return explored, tuple(name for name in rivals if name not in bare)
 
 
 def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
     """Find the tables of a study, by its folder or its ratings."""
     if not isinstance(ratings, str | os.PathLike):
-        raise TypeError(
-            f"ratings must be a path, of a study, where no manifest is given, got {describe(ratings)}; give the "
-            "manifest too, a path or a DataFrame"
-        )
+        got = f"got {describe(ratings)}; give the manifest too, a path or a DataFrame"
+        raise TypeError(f"ratings must be a path, of a study, where no manifest is given, {got}")
     path = as_path(ratings, "ratings")
     if not path.is_file():
         return path / RATINGS_FILE, path / MANIFEST_FILE
     for manifest in (path.with_name("manifest.csv"), path.parent / MANIFEST_FILE):
         if manifest.is_file():
             return path, manifest
-    raise FileNotFoundError(
-        f"{path}: no manifest.csv beside it, nor stimuli/manifest.csv; pass the manifest as second argument"
-    )
+    why = "no manifest.csv beside it, nor stimuli/manifest.csv"
+    raise FileNotFoundError(f"{path}: {why}; pass the manifest as second argument")
 
 
 def _open_source(given: PathLike | DataFrame, what: str) -> Source:
@@ -254,16 +232,13 @@ def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[s
     for name in [str(name) for name in sheet if name != "rejected"]:
         schema.read_column(sheet, name, what, kind=columns[name].kind)
     sheet = _leave_simulated(sheet, what, notes)
-    for name in ("reference_id", OTHER):
-        if name not in sheet:
-            sheet[name] = ""
+    sheet = sheet.assign(**{key: "" for key in ("reference_id", OTHER) if key not in sheet})
     _check_answers(sheet, what)
     notes += [*_check_doubles(sheet, what), *remarks.note_scales(sheet)]
     if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
-        notes.append(
-            f"{len(broken)} judgements of {broken.nunique()} participants were made on an interrupted playback "
-            "(underruns): they count; mark them as rejected to leave them out."
-        )
+        which = f"{len(broken)} judgements of {broken.nunique()} participants"
+        how = "they count; mark them as rejected to leave them out"
+        notes.append(f"{which} were made on an interrupted playback (underruns): {how}.")
     if "repeat" not in sheet:
         alike = ["participant", STIMULUS, "reference_id", OTHER, "scale"]
         sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
@@ -294,10 +269,9 @@ def _leave_simulated(sheet: DataFrame, what: str, notes: list[str]) -> DataFrame
     schema.refuse_lines(both, what, must="be simulated in all of its lines or in none")
     if simulated.all() or not simulated.any():
         return sheet
-    notes.append(
-        f"{int(simulated.sum())} judgements of {who[simulated].nunique()} simulated participants are left out, because "
-        "people rated too; to analyse them, bring a table of them alone."
-    )
+    left = f"{int(simulated.sum())} judgements of {who[simulated].nunique()} simulated participants"
+    how = "because people rated too; to analyse them, bring a table of them alone"
+    notes.append(f"{left} are left out, {how}.")
     return sheet[~simulated].copy()
 
 
@@ -312,12 +286,10 @@ def _check_doubles(sheet: DataFrame, what: str) -> Iterator[str]:
     doubled = sheet.loc[sheet.duplicated(key), counted]
     must = f"occur once with the same {', '.join(key[:-1])}"
     schema.refuse_lines(doubled, what, must=must, do="keep one of the lines")
-    if {"trial", "repeat"} <= {*sheet}:
-        count = int(sheet.duplicated([*key[:-1], "repeat"]).sum())
-        if count:
-            yield (
-                f"{count} judgements differ from an earlier one in their trial only: each counts as a further repeat."
-            )
+    count = int(sheet.duplicated([*key[:-1], "repeat"]).sum()) if "repeat" in sheet else 0
+    if count and "trial" in sheet:
+        how = "each counts as a further repeat"
+        yield f"{count} judgements differ from an earlier one in their trial only: {how}."
 
 
 # `manifest.csv`: what every stimulus is, and how well it matches its recording.
@@ -335,9 +307,8 @@ def _read_manifest(
     for name, value in (("level", "as_is"), (ROLE, TEST)):
         if name not in sheet:
             sheet[name] = value
-            notes.append(
-                f"{what} has nothing in a column '{name}': every stimulus is taken as '{value}'."
-            )
+            taken = f"every stimulus is taken as '{value}'"
+            notes.append(f"{what} has nothing in a column '{name}': {taken}.")
     for name in (*schema.IDENTITY, "level"):
         schema.read_column(sheet, name, what, kind="name")
     strange = sheet.loc[~sheet[ROLE].isin(schema.ROLES), ROLE]
@@ -373,29 +344,27 @@ def _choose_metrics(
         if not metrics or len(set(metrics)) < len(metrics):
             got = ", ".join(metrics) or "none"
             raise ValueError(f"metrics must be one name or more, each once, got {got}")
-        numeric = metrics_of.list_numeric(sheet)
-        for name in (name for name in metrics if name not in more and name not in numeric):
+        known = metrics_of.list_numeric(sheet)
+        for name in (name for name in metrics if name not in {*more, *known}):
             instead, why = schema.STAND_INS.get(name), ""
             if instead in sheet:
                 why = f" (build the set again, or use {instead})"
             elif name in metrics_of.ROTATIONS:
-                why = " (feel321 analyze computes it in a study, from the recordings that its set was built from)"
+                why = " (feel321 analyze computes it in a study, from the recordings of its set)"
             lacks = "no numbers in column" if name in sheet else "no column"
-            raise ValueError(
-                f"{source.what}: got {lacks} {schema.shorten(name)} as a metric{why}; {_list_numeric(source.given)}"
-            )
+            got = f"got {lacks} {schema.shorten(name)} as a metric{why}"
+            raise ValueError(f"{source.what}: {got}; {_list_numeric(source.given)}")
         return tuple(metrics), []
     found = [name if name in sheet else schema.STAND_INS.get(name, name) for name in schema.PLANNED]
     if not any(name in sheet for name in found):
-        raise ValueError(
-            f"{source.what}: got no metric; at least one of the columns {', '.join(schema.PLANNED)} is needed, or a "
-            f"metric of your own by its name (--metric); {_list_numeric(source.given)}"
-        )
-    return tuple(name for name in found if name in sheet), [
-        f"{source.what} has nothing in a column '{name}', so that metric is not reported."
-        for name in found
-        if name not in sheet
-    ]
+        must = f"at least one of the columns {', '.join(schema.PLANNED)} is needed"
+        own = "or a metric of your own by its name (--metric)"
+        numeric = _list_numeric(source.given)
+        raise ValueError(f"{source.what}: got no metric; {must}, {own}; {numeric}")
+    lacking = [name for name in found if name not in sheet]
+    note = f"{source.what} has nothing in a column '{{}}', so that metric is not reported."
+    planned = tuple(name for name in found if name in sheet)
+    return planned, [note.format(name) for name in lacking]
 
 
 def _list_numeric(source: Path | DataFrame) -> str:
@@ -425,44 +394,40 @@ def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str,
             schema.refuse_lines(differing, what, must=must, do="correct whichever is wrong")
 
 
-def _turn_pairs(ratings: DataFrame, manifest: DataFrame, what: str) -> DataFrame:
-    """Let every dissimilarity be about the stimulus that was compared with the reference."""
-    is_paired = (ratings["scale"] == schema.PAIRED) & (ratings["reference_id"] != "")
-    others = ratings.loc[is_paired, "reference_id"]
-    must = f"be a stimulus of the manifest, or empty, in a {schema.PAIRED}"
-    schema.refuse_lines(others[~others.isin(manifest.index)], what, must=must)
-    backward = is_paired & (ratings[STIMULUS].map(manifest[ROLE]) == "reference")
-    ids = [STIMULUS, "reference_id"]
-    turned = ratings.copy()
-    turned.loc[backward, ids] = ratings.loc[backward, ids[::-1]].to_numpy()
-    return turned
-
-
-def _find_roles(rows: DataFrame, manifest: DataFrame) -> Series:
-    """Find the role that each stimulus had in its judgement."""
-    is_same = rows[STIMULUS] == rows["reference_id"]
-    is_choice = rows["scale"].isin(schema.CHOSEN)
-    roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
-    is_pair = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "") & ~is_same
-    is_pair &= rows["reference_id"].map(manifest[ROLE]) != "reference"
-    return roles.mask(is_choice | is_pair, schema.PAIR)
-
-
-def _find_references(rows: DataFrame, manifest: DataFrame) -> Series:
-    """Name every judgement's reference in words, unless it is the recording itself or nothing is said of it.
+def _join_stimuli(
+    rows: DataFrame, stimuli: DataFrame, what: str
+) -> tuple[DataFrame, Iterator[str]]:
+    """Put beside each judgement its stimulus, the role that it had there, and whether the metrics describe it.
 
     Metrics say how well a stimulus matches its own recording: they describe judgements against that only.
     """
+    is_paired = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "")
+    others = rows.loc[is_paired, "reference_id"]
+    must = f"be a stimulus of the manifest, or empty, in a {schema.PAIRED}"
+    schema.refuse_lines(others[~others.isin(stimuli.index)], what, must=must)
+    # A dissimilarity is about the stimulus that was compared with the reference.
+    backward = is_paired & (rows[STIMULUS].map(stimuli[ROLE]) == "reference")
+    ids, rows = [STIMULUS, "reference_id"], rows.copy()
+    rows.loc[backward, ids] = rows.loc[backward, ids[::-1]].to_numpy()
+    rows = rows.drop(columns=[name for name in rows if name in stimuli]).join(stimuli, on=STIMULUS)
+    is_same = rows[STIMULUS] == rows["reference_id"]
+    is_pair = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "") & ~is_same
+    is_pair &= rows["reference_id"].map(stimuli[ROLE]) != "reference"
+    roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
+    rows[ROLE] = roles.mask(rows["scale"].isin(schema.CHOSEN) | is_pair, schema.PAIR)
     known = {"": "", schema.SURFACE: SURFACED}
     for name in set(rows["reference_id"].unique()) - set(known):
         known[name] = UNLISTED
-        if name in manifest.index:
-            reducer, role = manifest.loc[name, ["reducer", ROLE]]
+        if name in stimuli.index:
+            reducer, role = stimuli.loc[name, ["reducer", ROLE]]
             whole = role == "reference" and reducer not in REDUCER_NAMES
             known[name] = "" if whole else f"what '{reducer}' made of the recording"
-    of_reference = rows["reference_id"].map(manifest["recording"])
+    of_reference = rows["reference_id"].map(stimuli["recording"])
     is_foreign = of_reference.notna() & (of_reference != rows["recording"])
-    return rows["reference_id"].map(known).mask(is_foreign, FOREIGN)
+    references = rows["reference_id"].map(known).mask(is_foreign, FOREIGN)
+    rows["matched"] = references.isin(["", SURFACED, UNLISTED])
+    rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
+    return rows, _note_references(rows, references)
 
 
 def _note_references(rows: DataFrame, references: Series) -> Iterator[str]:
@@ -475,8 +440,8 @@ def _note_references(rows: DataFrame, references: Series) -> Iterator[str]:
     known = known[(known[ROLE] != schema.PAIR) & (known["reference"] != "")]
     for (scale, reference), part in known.groupby(["scale", "reference"]):
         against = f"{len(part)} judgements were made against {reference}"
-        fate = ": none enters an association or a slope"
-        fate = "" if reference in {SURFACED, UNLISTED} else fate
+        is_usual = reference in {SURFACED, UNLISTED}
+        fate = "" if is_usual else ": none enters an association or a slope"
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
         if reference == SURFACED:
             yield from remarks.note_gains(part)
@@ -489,28 +454,27 @@ def _join_further(
     manifest: DataFrame, ratings: DataFrame, given: Further, *, names: tuple[str, str]
 ) -> tuple[DataFrame, list[str]]:
     """Give every stimulus the further metrics that there are."""
+    from pandas import DataFrame
+
     allowed = [*metrics_of.describe_further(), *given.rivals]
     judged = [name for name in metrics_of.describe_further() if name in ratings]
+    must = "further metrics must"
     for name in given.metrics:
         if name not in allowed:
-            raise ValueError(
-                f"further metrics must be of the columns {', '.join(allowed)}, got column {name!r}"
-            )
+            raise ValueError(f"{must} be of the columns {', '.join(allowed)}, got column {name!r}")
         if not ~(np.abs(given.metrics[name].to_numpy(np.float64)) > schema.LARGEST).any():
-            raise ValueError(
-                f"further metrics must be finite, got infinite or huge values of '{name}'"
-            )
+            raise ValueError(f"{must} be finite, got infinite or huge values of '{name}'")
     if not given.metrics.index.is_unique:
-        raise ValueError("further metrics must have one row per stimulus_id, got a stimulus twice")
-    means = ratings.groupby(STIMULUS)[judged].mean() if judged else _make_empty()
-    for more, where in (
-        (means, " and ".join(names[::-1])),
-        (given.metrics, "the files and the further metrics given"),
-    ):
+        raise ValueError(f"{must} have one row per stimulus_id, got a stimulus twice")
+    means = ratings.groupby(STIMULUS)[judged].mean() if judged else DataFrame()
+    both = {
+        " and ".join(names[::-1]): means,
+        "the files and the further metrics given": given.metrics,
+    }
+    for where, more in both.items():
         if doubled := [str(name) for name in more if name in manifest]:
-            raise ValueError(
-                f"{where}: got '{doubled[0]}' in both; keep one, or a stimulus would have two values of it"
-            )
+            do = "keep one, or a stimulus would have two values of it"
+            raise ValueError(f"{where}: got '{doubled[0]}' in both; {do}")
         manifest = manifest.join(more)
     mean = f"in {names[0]} it is given per judgement; a stimulus has the mean over its judgements that hold it"
     return manifest, [f"'{name}': {mean}." for name in judged]
@@ -521,13 +485,13 @@ def _join_roster(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame,
     path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
     if path is None or not path.is_file():
         return rows, []
-    header, known = schema.read_header(path), {*rows, "participant"}
-    labels = [name for name in header if name and name not in ROSTER | known]
-    rigs = [name for name in RIG if name in header]
-    columns = {"participant": schema.NEEDED} | dict.fromkeys([*labels, *rigs], schema.TEXT)
-    sheet, _ = schema.read_sheet(
-        path, path.name, columns
-    )  # without columns that are empty throughout
+    with intake.open_text(path) as file:
+        header = next(csv.reader(file), [])
+    known = {*rows, *ROSTER, "participant"}
+    labels = [name for name in header if name in RIG or (name and name not in known)]
+    columns = {"participant": schema.NEEDED} | dict.fromkeys(labels, schema.TEXT)
+    # Without columns that are empty throughout.
+    sheet, _ = schema.read_sheet(path, path.name, columns)
     schema.refuse_doubled(sheet, "participant", path.name)
     sheet = sheet[sheet["participant"].isin(rows["participant"])].set_index("participant")
     notes = []
@@ -539,7 +503,7 @@ def _join_roster(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame,
             continue
         write = str if name in RIG else schema.shorten
         told = ", ".join(f"{write(str(key)) if key else 'unknown'} {n}" for key, n in sizes.items())
-        what = RIG.get(name, schema.shorten(name))
+        what = f"{RIG.get(name, schema.shorten(name))} ({ROSTER_FILE}; participants: {told})"
         then = "see Robustness to other choices" if name in RIG else "no test compares them"
-        notes.append(f"Participants differ in {what} ({ROSTER_FILE}; participants: {told}): {then}.")  # fmt: skip
+        notes.append(f"Participants differ in {what}: {then}.")
     return rows, notes

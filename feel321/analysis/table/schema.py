@@ -18,13 +18,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from feel321 import intake
+
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
-
-LOWEST, HIGHEST = 0.0, 100.0
-"""The ends of every rating scale."""
-
+LOWEST, HIGHEST = 0.0, 100.0  # The ends of every rating scale
 LARGEST = 1e12
 """No metric is larger in size; squares of much larger numbers are no numbers any more."""
 
@@ -38,17 +37,9 @@ APART = (PAIRED, ANSWERED, *CHOSEN)
 RECAST = "similarity_to_original"
 """Scale of dissimilarities from the original turned round: 100 less the dissimilarity is a rating of one stimulus."""
 
-INTERACTION, SAMPLE = "interaction", "sample"
-LABELS = (INTERACTION, SAMPLE)
-"""What a recording is of, in the lab's words; maps of dissimilarities are made for each."""
-
 ROLES = ("test", "reference", "anchor")
-PAIR = "pair"
-"""Role of a stimulus that is rated against another one than the reference."""
-
-SURFACE = "surface"
-"""Reference of a judgement that compares with the real surface."""
-
+PAIR = "pair"  # Role of a stimulus that is rated against another one than the reference
+SURFACE = "surface"  # Reference of a judgement that compares with the real surface
 NAMING = ("recording", "reducer", "level")
 """Columns that together name a stimulus where there is no stimulus_id."""
 
@@ -96,34 +87,31 @@ MANIFEST: Mapping[str, ColumnInfo] = {
     GAIN: ColumnInfo("known"), SENSATION: ColumnInfo("known"),
     **dict.fromkeys(("file", "rate_hz", "n_samples", "duration_s", "peak", "clipped"), UNUSED),
     **dict.fromkeys(("sha256", "recording_sha256", "band_high_hz"), UNUSED),
-    "source": TEXT, INTERACTION: TEXT, SAMPLE: TEXT,
+    "source": TEXT,
 }  # fmt: skip
 """One row per stimulus."""
 
 NOT_METRICS = frozenset({
-    *IDENTITY, *LABELS, "level", "role", "source", "file", "sha256", "recording_sha256"
-})  # fmt: skip
+    *IDENTITY,
+    "level",
+    "role",
+    "source",
+    "file",
+    "sha256",
+    "recording_sha256",
+})
 
-MOSTLY = 0.5
-"""Share of a column's cells that are numbers where the column is meant to hold numbers."""
-
+MOSTLY = 0.5  # Share of a column's cells that are numbers where the column is meant to hold numbers
 FOREIGN = {
     b"\x1f\x8b": "a gzip file; unpack it first",
     b"PK\x03\x04": "an Excel or other zipped file; save the sheet as CSV (UTF-8)",
     b"\xd0\xcf\x11\xe0": "an old Excel file; save the sheet as CSV (UTF-8)",
-    b"\xff\xfe": "UTF-16 text; save it as CSV (UTF-8)",
-    b"\xfe\xff": "UTF-16 text; save it as CSV (UTF-8)",
-}
-"""First bytes of files that are often taken for CSV -> what they are."""
-
+}  # first bytes of files that are often taken for CSV -> what they are
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 CONTROL = r"[\x00-\x1f\x7f-\x9f\u2028\u2029]"
 
-LONGEST = 60
-"""Characters of a cell that a message shows."""
-
-BLAMED_LINES = 3
-"""How many line numbers a message names before it only counts."""
+LONGEST = 60  # Characters of a cell that a message shows
+BLAMED_LINES = 3  # How many line numbers a message names before it only counts
 
 
 class Kind(NamedTuple):
@@ -189,42 +177,34 @@ def restore_cells(sheet: DataFrame) -> DataFrame:
     return sheet.replace(r"^'(?='*[=+@\t\r-])", "", regex=True)
 
 
-def read_header(path: Path) -> list[str]:
-    """Read the column names."""
-    with path.open(encoding="utf-8-sig", newline="") as file:
-        return next(csv.reader(file), [])
-
-
 def read_column(sheet: DataFrame, name: str, what: str, *, kind: str) -> None:
     """Read a column of text, if there is one, as the kind that it is declared as."""
+    import numpy as np
+    import pandas as pd
+
     if name not in sheet or not kind:
         return
     cells = sheet[name]
     if kind == "name":
-        refuse_lines(cells[cells == ""], what, must="not be empty", do="name it")
-        padded = cells[cells != cells.str.strip()]
-        refuse_lines(padded, what, must="not begin or end with a blank", do="remove it")
-        must = "not hold line breaks or other control characters"
-        refuse_lines(cells[cells.str.contains(CONTROL)], what, must=must, do="remove them")
+        rules = (
+            (cells == "", "not be empty", "name it"),
+            (cells != cells.str.strip(), "not begin or end with a blank", "remove it"),
+            (cells.str.contains(CONTROL), "not hold control characters", "remove them"),
+        )
+        for bad, must, do in rules:
+            refuse_lines(cells[bad], what, must=must, do=do)
     elif kind == "flag":
         words = cells.str.strip().str.lower()
         must = "be true, false, 1, 0, yes, no or empty"
         refuse_lines(cells[~words.isin(YES | NO)], what, must=must)
         sheet[name] = words.isin(YES)
     else:
-        sheet[name] = _read_numbers(cells, what, KINDS[kind])
-
-
-def _read_numbers(cells: Series, what: str, kind: Kind) -> Series:
-    import numpy as np
-    import pandas as pd
-
-    filled = cells if kind.empty is None else cells[cells != ""]
-    numbers = pd.to_numeric(filled, errors="coerce").astype(np.float64)
-    do = "correct it or leave the row out"
-    refuse_lines(filled[~np.isfinite(numbers)], what, must="be a finite number", do=do)
-    refuse_lines(filled[~kind.allows(numbers)], what, must=kind.must, do=kind.do)
-    return numbers.reindex(cells.index, fill_value=kind.empty)
+        rule, filled = KINDS[kind], cells if KINDS[kind].empty is None else cells[cells != ""]
+        numbers = pd.to_numeric(filled, errors="coerce").astype(np.float64)
+        do = "correct it or leave the row out"
+        refuse_lines(filled[~np.isfinite(numbers)], what, must="be a finite number", do=do)
+        refuse_lines(filled[~rule.allows(numbers)], what, must=rule.must, do=rule.do)
+        sheet[name] = numbers.reindex(cells.index, fill_value=rule.empty)
 
 
 def refuse_lines(bad: Series, what: str, *, must: str, do: str = "") -> None:
@@ -247,13 +227,7 @@ def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
 
 
 def shorten(text: str) -> str:
-    r"""Quote a cell for a message that is to stay one line.
-
-    Examples
-    --------
-    >>> shorten("a\nb"), shorten("x" * 100)
-    ("'a\\nb'", "'xxxxxxxxxxxxxxxxxxxxxxxxxxxx...xxxxxxxxxxxxxxxxxxxxxxxxxxxx'")
-    """
+    """Quote a cell for a message that is to stay one line."""
     half = LONGEST // 2 - 2
     return repr(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
 
@@ -262,51 +236,34 @@ def _read_file(path: Path, schema: Mapping[str, ColumnInfo]) -> DataFrame:
     """Read a file's cells; the index says in which line a row begins."""
     import pandas as pd
 
-    what, rows, lines = path.name, [], []
+    what, content = path.name, intake.read_bytes(path)
+    for mark, kind in FOREIGN.items():
+        if content.startswith(mark):
+            raise ValueError(f"{what}: must be plain UTF-8 text, got {kind}")
+    reader = csv.reader(io.StringIO(intake.decode(content, what), newline=""), strict=True)
     try:
-        reader = csv.reader(io.StringIO(_read_text(path), newline=""), strict=True)
-        header = next(reader, [])
-        if not header:
-            state = "line 1 is blank" if path.stat().st_size else "the file is empty"
-            needed = ", ".join(name for name, column in schema.items() if column.needed)
-            raise ValueError(f"{what}: {state}; its first line must name the columns {needed}")
-        line = reader.line_num + 1
+        header, line, rows = next(reader, []), reader.line_num + 1, {}
         for row in reader:
-            if row and len(row) != len(header):
-                cut = len(row) < len(header)
-                do = "is the file cut off?" if cut else "put a cell that holds a comma in quotes"
-                must = f"must have {len(header)} cells like the header, got {len(row)}"
-                # A row of another length says most about a header that is no list of names.
-                _check_header(header, f"{what}, line 1", schema)
-                raise ValueError(f"{what}, line {reader.line_num}: {must}; {do}")
-            if row:
-                rows.append(row)
-                lines.append(line)
+            rows[line, reader.line_num] = row
             line = reader.line_num + 1
     except csv.Error as error:
         why = f"not a regular CSV file, correct lines or quotes ({error})"
         raise ValueError(f"{what}: {why}") from None
-    index = pd.Index(lines, name="line", dtype=int)
-    return restore_cells(pd.DataFrame(rows, columns=header, index=index, dtype=str))
-
-
-def _read_text(path: Path) -> str:
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        why = "must be a regular file, got a pipe or device; copy its content into a file"
-        raise ValueError(f"{path.name}: {why}")
-    content = path.read_bytes()
-    for mark, kind in FOREIGN.items():
-        if content.startswith(mark):
-            raise ValueError(f"{path.name}: must be plain UTF-8 text, got {kind}")
-    if (place := content.find(b"\0")) >= 0:
-        line = content.count(b"\n", 0, place) + 1
-        why = "must be UTF-8 text, got a zero byte; is the file damaged? Save it as CSV (UTF-8)"
-        raise ValueError(f"{path.name}, line {line}: {why}")
-    try:
-        return content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        why = f"{error.reason} at byte {error.start}"
-        raise ValueError(f"{path.name}: not UTF-8 text ({why}); save it as CSV (UTF-8)") from None
+    if not header:
+        state = "line 1 is blank" if content else "the file is empty"
+        needed = ", ".join(name for name, column in schema.items() if column.needed)
+        raise ValueError(f"{what}: {state}; its first line must name the columns {needed}")
+    # A row of another length says most about a header that is no list of names.
+    _check_header(header, f"{what}, line 1", schema)
+    kept = {place: row for place, row in rows.items() if row}
+    for (_, end), row in kept.items():
+        if len(row) != len(header):
+            cut = len(row) < len(header)
+            do = "is the file cut off?" if cut else "put a cell that holds a comma in quotes"
+            must = f"must have {len(header)} cells like the header, got {len(row)}"
+            raise ValueError(f"{what}, line {end}: {must}; {do}")
+    index = pd.Index([start for start, _ in kept], name="line", dtype=int)
+    return restore_cells(pd.DataFrame([*kept.values()], columns=header, index=index, dtype=str))
 
 
 def _check_header(header: Sequence[str], where: str, schema: Mapping[str, ColumnInfo]) -> None:
@@ -318,9 +275,8 @@ def _check_header(header: Sequence[str], where: str, schema: Mapping[str, Column
     for name in header:
         meant = plain.get(simplify(name), name)
         if name != meant:
-            raise ValueError(
-                f"{where}: column {shorten(name)} must be spelt '{meant}'; rename or remove it"
-            )
+            must = f"must be spelt '{meant}'; rename or remove it"
+            raise ValueError(f"{where}: column {shorten(name)} {must}")
     doubled = sorted({name for name in header if name in schema and header.count(name) > 1})
     if doubled:
         raise ValueError(f"{where}: column {', '.join(doubled)} appears more than once; keep one")

@@ -17,6 +17,7 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -37,8 +38,7 @@ Value = TypeVar("Value", float, str)
 ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
 """Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
 
-CHILD_S = 300.0
-"""So long may a MATLAB file take to be read."""
+CHILD_S = 300.0  # So long may a MATLAB file take to be read
 
 
 def read_npz(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
@@ -73,13 +73,12 @@ def read_mat(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
             done = subprocess.run(words, capture_output=True, timeout=CHILD_S, check=False, env=one_thread)  # noqa: S603 - our own program  # fmt: skip
         except subprocess.TimeoutExpired:
             raise ValueError(f"it takes longer than {CHILD_S:g} s") from None
+        said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+        if done.returncode and said.startswith("MemoryError"):
+            how = f"keep the recording alone, or set a larger {intake.LIMIT} in the environment"
+            most = f"its variables take more than {limit / 1e6:,.0f} MB"
+            raise intake.TooLargeError(f"{most}; {how}")
         if done.returncode:
-            said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
-            if said.startswith("MemoryError"):
-                raise intake.TooLargeError(
-                    f"its variables take more than {limit / 1e6:,.0f} MB; keep the recording alone, or set a larger "
-                    f"{intake.LIMIT} in the environment"
-                )
             raise ValueError(intake.clip(said, 200) or "it ends the program that reads it")
         with np.load(io.BytesIO(done.stdout), allow_pickle=False) as archive:
             arrays = dict(archive)
@@ -90,7 +89,7 @@ def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
     """Find samples, rate, time and unit among named arrays."""
     columns = {name: array for name, array in arrays.items() if array.size != 1}
     names = tuple(columns)
-    place = _choose(names, request, found=tuple(arrays))
+    place = _choose(names, request, found=", ".join(arrays) or "nothing")
     axes = [names[i] for i in place.axes]
     if len(axes) == 1:
         samples = tables.as_three_axes(_as_numbers(columns[axes[0]], repr(axes[0])))
@@ -104,7 +103,25 @@ def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
         coarse = columns[name].dtype.type if columns[name].dtype.kind == "f" else np.float64
         time_s = stamps * second
         step_s = float(np.spacing(coarse(np.abs(stamps).max(initial=0.0)))) * second
-    rates, units = {}, {}
+    unit, rate_hz = _find_facts(arrays, {axes[0]: place.unit} if place.unit else {})
+    return tables.Decoded(samples, unit, rate_hz, time_s=time_s, time_step_s=step_s)
+
+
+def _choose(names: Sequence[str], request: tables.ReadingOptions, *, found: str) -> tables.Columns:
+    """Choose the arrays of samples and time: as asked for, else by their names."""
+    wanted, n = request.columns, len(names)
+    if wanted is not None:
+        return tables.pick_columns(wanted, labels=names, n_columns=n, whole=True)
+    bare = [tables.split_unit(name, tables.ACCELERATION_SPELLINGS)[0] for name in names]
+    if not any(tables.AXIS.fullmatch(one) or one.casefold() in ACCELERATION_KEYS for one in bare):
+        must = "an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z'"
+        raise ValueError(f"{must}, got {found}; or say columns=(name,)")
+    return tables.find_columns(names, wholes=ACCELERATION_KEYS)
+
+
+def _find_facts(arrays: Arrays, units: dict[str, str]) -> tuple[str | None, float | None]:
+    """Find unit and rate among named arrays; units: what labels say already."""
+    rates = {}
     for name, array in arrays.items():
         if name.casefold() in tables.RATE_KEYS:
             if array.size != 1:
@@ -112,28 +129,7 @@ def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
             rates[name] = float(_as_numbers(array, "the rate").item())
         elif name.casefold() in tables.UNIT_KEYS:
             units[name] = tables.parse_unit(str(array.squeeze()))
-    if place.unit:
-        units[axes[0]] = place.unit
-    unit, rate_hz = _agree(units), _agree(rates)
-    return tables.Decoded(samples, unit, rate_hz, time_s=time_s, time_step_s=step_s)
-
-
-def _choose(
-    labels: Sequence[str], request: tables.ReadingOptions, *, found: Sequence[str]
-) -> tables.Columns:
-    """Choose the arrays of samples and time: as asked for, else by their names."""
-    if request.columns is not None:
-        return tables.pick_columns(
-            request.columns, labels=labels, n_columns=len(labels), whole=True
-        )
-    bare = [tables.split_unit(label, tables.ACCELERATION_SPELLINGS)[0] for label in labels]
-    if not any(tables.AXIS.fullmatch(name) or name.casefold() in ACCELERATION_KEYS for name in bare):  # fmt: skip
-        named = ", ".join(found) or "nothing"
-        raise ValueError(
-            f"an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z', got {named}; "
-            "or say columns=(name,)"
-        )
-    return tables.find_columns(labels, wholes=ACCELERATION_KEYS)
+    return _agree(units), _agree(rates)
 
 
 def _agree(found: Mapping[str, Value]) -> Value | None:
@@ -172,33 +168,24 @@ def read_wav_recording(path: Path, request: tables.ReadingOptions) -> tables.Dec
     if header.channels == 1:
         raise tables.refuse_reduced("a WAV file with 1 channel")
     if len(axes) != header.channels:
-        raise ValueError(
-            "there must be 3 channels, one per axis x, y, z, or a sidecar whose axes name every channel; "
-            f"got {header.channels} for {len(axes)} axes"
-        )
+        must = "there must be 3 channels, one per axis x, y, z, or a sidecar whose axes name each"
+        raise ValueError(f"{must}; got {header.channels} for {len(axes)} axes")
     rate_hz = said.get("rate_hz", float(header.rate_hz))
     if abs(rate_hz - header.rate_hz) > max(1.0, 0.001 * header.rate_hz):
-        raise ValueError(
-            f"the header says {header.rate_hz} Hz and the sidecar {rate_hz:g} Hz, which differ by more than 1 Hz or "
-            "0.1 %; correct the one that is wrong"
-        )
+        both = f"the header says {header.rate_hz} Hz and the sidecar {rate_hz:g} Hz"
+        raise ValueError(f"{both}, which differ by more than 1 Hz or 0.1 %; correct the wrong one")
     own, asked = said.get("full_scale"), request.full_scale
     asked = None if asked is None else check_rate(asked, "full_scale", "")
     if asked and own and asked != own:
         raise ValueError(f"full_scale={asked:g}, but the sidecar says {own:g}; leave one out")
     full_scale = asked or own
     if full_scale and header.is_float:
-        raise ValueError(
-            "full_scale is for integer samples, these are float and in the unit already; leave it out"
-        )
+        raise ValueError("full_scale is for integer samples, these are float; leave it out")
     samples, _ = read_wav(path)
-    return tables.Decoded(
-        samples[[axes.index(axis) for axis in "xyz"]] * (full_scale or 1.0),
-        said.get("unit"),
-        rate_hz,
-        notes=() if full_scale or header.is_float else (FULL_SCALE_NOTE,),
-        sources=(path, beside) if beside.is_file() else (path,),
-    )
+    acceleration = samples[[axes.index(axis) for axis in "xyz"]] * (full_scale or 1.0)
+    notes = () if full_scale or header.is_float else (FULL_SCALE_NOTE,)
+    sources = (path, beside) if beside.is_file() else (path,)
+    return tables.Decoded(acceleration, said.get("unit"), rate_hz, notes=notes, sources=sources)
 
 
 def _parse_axes(axes: Any) -> list[str]:  # noqa: ANN401 - whatever stands there
@@ -218,7 +205,7 @@ ENTRIES: Mapping[str, tuple[Sequence[str], Callable[[Any], Any]]] = {
 
 
 def _read_sidecar(path: Path) -> dict[str, Any]:
-    """Read what a sidecar says, by its first spelling."""
+    """Read what a sidecar says."""
     try:
         text = intake.read_small(path)
         with tables.foreign_errors("JSON"):
@@ -230,14 +217,11 @@ def _read_sidecar(path: Path) -> dict[str, Any]:
 
 
 def _parse_entries(entries: Any) -> dict[str, Any]:  # noqa: ANN401 - whatever stands there
-    keys = list(dict.fromkeys([*ENTRIES, *tables.UNIT_KEYS, *tables.RATE_KEYS]))
-    allowed = ", ".join(keys)
-    if not isinstance(entries, dict):
-        raise ValueError(f"must be a table with {allowed}, got a {type(entries).__name__}")  # noqa: TRY004 - a file's fault, not a caller's
-    if unknown := [key for key in entries if key not in keys]:
-        raise ValueError(
-            f"entries must be {allowed}, got {', '.join(map(repr, unknown))}; correct or remove it"
-        )
+    keys = [*dict.fromkeys([*ENTRIES, *tables.UNIT_KEYS, *tables.RATE_KEYS])]
+    is_table = isinstance(entries, dict)
+    if unknown := [key for key in entries if key not in keys] if is_table else [entries]:
+        got = ", ".join(intake.clip(repr(one)) for one in unknown)
+        raise ValueError(f"entries must be {', '.join(keys)}, got {got}; correct or remove it")
     found = {}
     for name, (spellings, parse) in ENTRIES.items():
         present = [key for key in spellings if entries.get(key) is not None]
@@ -255,8 +239,7 @@ RATE = re.compile(rf"(?:{SENSOR}_?)?sampl(?:e|ing)_?(?:rate|frequency)")
 RATE_VALUE = re.compile(r"(\d+\.?\d*(?:e\+?\d+)?)\s*(k?)(?:hz)?", re.IGNORECASE | re.ASCII)
 
 MOST_TAGS = 10_000
-LARGER = 8
-"""So many tags may an XML file hold, and so many times its text takes in memory."""
+LARGER = 8  # So many tags may an XML file hold, and so many times its text takes in memory
 
 
 def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
@@ -266,9 +249,7 @@ def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
     content = intake.read_bytes(path, most=intake.read_limit() // LARGER)
     # Entities can expand without end or name other files; a recording needs neither.
     if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
-        raise ValueError(
-            "the XML declares a document type or entities, which are not read; remove them"
-        )
+        raise ValueError("the XML declares a document type or entities, which are not read")
     if content.count(b"<") > 2 * MOST_TAGS:
         raise ValueError(f"there are more than {MOST_TAGS} tags")
     with tables.foreign_errors("XML"):
@@ -285,23 +266,30 @@ def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
     if not axes and re.search(rf"\b{SENSOR}\b", " ".join(tags)):
         raise tables.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
     if not axes:
+        got = ", ".join(list(tags)[:12]) or "none"
         raise ValueError(
-            "the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, "
-            f"got the tags {', '.join(list(tags)[:12]) or 'none'}"
+            f"the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, got tags {got}"
         )
     units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
-    return tables.Decoded(
-        tables.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()}),
-        tables.parse_unit(_only(sorted(units), "units")) if units else None,
-        _rate(tags),
-    )
+    samples = tables.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()})
+    unit = tables.parse_unit(_only(sorted(units), "units")) if units else None
+    return tables.Decoded(samples, unit, _find_rate(tags))
+
+
+def _find_rate(tags: Mapping[str, list[str]]) -> float | None:
+    rates = {tag: found for tag, found in tags.items() if RATE.fullmatch(tag)}
+    own = {text for tag, found in rates.items() if tag.startswith("accel") for text in found}
+    if not (texts := own or {text for found in rates.values() for text in found}):
+        return None
+    text = _only(sorted(texts), "the sampling rate")
+    if not (match := RATE_VALUE.fullmatch(text)):
+        raise ValueError(f"the sampling rate must be a number in Hz, got {text!r}")
+    return float(match[1]) * (1000.0 if match[2] else 1.0)
 
 
 def _only(texts: list[str], tag: str) -> str:
     if len(texts) != 1:
-        raise ValueError(
-            f"there must be one element for {tag}, got {len(texts)}; it is not clear which is meant"
-        )
+        raise ValueError(f"there must be one element for {tag}, got {len(texts)}")
     return texts[0]
 
 
@@ -310,34 +298,18 @@ def _numbers(text: str, axis: str) -> Samples:
     try:
         values = np.array(words, dtype=np.float64)
     except ValueError as error:
-        raise ValueError(
-            f"a value of the {axis} axis is not a number ({intake.clip(str(error), 120)}); correct it"
-        ) from None
+        got = intake.clip(str(error), 120)
+        raise ValueError(f"a value of the {axis} axis is not a number ({got})") from None
     if not np.isfinite(values).all():
         i = int(np.argmin(np.isfinite(values)))
-        raise ValueError(
-            f"value {i} of the {axis} axis must be a finite number, got {intake.clip(words[i])!r}"
-        )
+        got = intake.clip(words[i])
+        raise ValueError(f"value {i} of the {axis} axis must be a finite number, got {got!r}")
     return values
-
-
-def _rate(tags: Mapping[str, list[str]]) -> float | None:
-    rates = {tag: found for tag, found in tags.items() if RATE.fullmatch(tag)}
-    own = {text for tag, found in rates.items() if tag.startswith("accel") for text in found}
-    texts = own or {text for found in rates.values() for text in found}
-    if not texts:
-        return None
-    text = _only(sorted(texts), "the sampling rate")
-    if not (match := RATE_VALUE.fullmatch(text)):
-        raise ValueError(f"the sampling rate must be a number in Hz, got {text!r}")
-    return float(match[1]) * (1000.0 if match[2] else 1.0)
 
 
 NAME = re.compile(r"(.+_(?:Movement|Tapping))_([XYZ])_((?:train|test)\d+)", re.IGNORECASE)
 RATE_HZ = 10000.0
-RATE_NOTE = (
-    "LMT-108 files name no rate: taken as the documented 10000 Hz (rate_hz=... says otherwise)"
-)
+RATE_NOTE = "LMT-108 files name no rate: taken as the documented 10000 Hz (rate_hz=... says otherwise)"  # fmt: skip
 
 
 def is_lmt(path: Path) -> bool:
@@ -351,25 +323,18 @@ def read_lmt(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
     letters = "XYZ" if axis.isupper() else "xyz"
     sisters = [path.with_name(f"{head}_{letter}_{tail}{path.suffix}") for letter in letters]
     if missing := [sister.name for sister in sisters if not sister.is_file()]:
-        raise ValueError(
-            f"there must be one file per axis x, y, z beside it, got no {' and no '.join(missing)}"
-        )
+        got = " and no ".join(missing)
+        raise ValueError(f"there must be one file per axis x, y, z beside it, got no {got}")
     axes: dict[str, Samples] = {}
     for name, sister in zip("xyz", sisters, strict=True):
         table = tables.split_table(sister)
         if table.n_columns != 1:
-            raise ValueError(
-                f"{sister.name} must hold one value per line, got {table.n_columns} columns"
-            )
+            got = f"got {table.n_columns} columns"
+            raise ValueError(f"{sister.name} must hold one value per line, {got}")
         axes[name] = tables.read_numbers(table, (0,)).ravel()
-    known = request.rate_hz is not None
-    return tables.Decoded(
-        tables.stack_axes(axes),
-        rate_hz=None if known else RATE_HZ,
-        notes=() if known else (RATE_NOTE,),
-        sources=tuple(sisters),
-        name=f"{head}_{tail}",
-    )
+    rate_hz, notes = (RATE_HZ, (RATE_NOTE,)) if request.rate_hz is None else (None, ())
+    about = tables.Decoded(tables.stack_axes(axes), rate_hz=rate_hz, notes=notes)
+    return replace(about, sources=tuple(sisters), name=f"{head}_{tail}")
 
 
 LOST_SAMPLE = 1.5
@@ -393,8 +358,11 @@ def read_ide(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
         with tables.foreign_errors("an enDAQ recording"):
             dataset = importer.openFile(stream, quiet=True)
             importer.readData(dataset)
-            channels = [one for one in dataset.channels.values() if one.sessions]
-            found = [_read_channel(one) for one in channels if len(_axes(one)) == AXES]
+            found = [
+                _read_channel(one, rows)
+                for one in dataset.channels.values()
+                if one.sessions and len(rows := _find_axes(one)) == AXES
+            ]
     finally:
         logging.disable(before)
     measured = [(samples, unit) for samples, unit in found if samples.shape[1] > 1]
@@ -407,7 +375,14 @@ def read_ide(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
     return tables.Decoded(samples[1:], unit, time_s=time_s)
 
 
-def _axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
+def _read_channel(channel: Any, rows: Mapping[str, int]) -> tuple[Samples, str | None]:  # noqa: ANN401 - idelib is not typed
+    """Return time in s and the three axes, shape (4, n_samples), and their unit."""
+    values = np.asarray(channel.getSession().arraySlice(), dtype=np.float64)
+    stacked = np.stack([values[0] * 1e-6, *(values[1 + rows[axis]] for axis in "xyz")])
+    return stacked, _unit(channel.subchannels[rows["x"]])
+
+
+def _find_axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
     """Return the row of each axis: the recorder's order is not always x, y, z."""
     rows: dict[str, int] = {}
     for row, subchannel in enumerate(channel.subchannels or ()):
@@ -421,14 +396,6 @@ def _unit(subchannel: Any) -> str | None:  # noqa: ANN401 - idelib is not typed
     """Return the unit of acceleration, or None for other quantities."""
     label_and_unit = subchannel.units or ("", "")
     return tables.ACCELERATION_SPELLINGS.get(tables.normalise(str(label_and_unit[1])))
-
-
-def _read_channel(channel: Any) -> tuple[Samples, str | None]:  # noqa: ANN401 - idelib is not typed
-    """Return time in s and the three axes, shape (4, n_samples), and their unit."""
-    rows = _axes(channel)
-    values = np.asarray(channel.getSession().arraySlice(), dtype=np.float64)
-    stacked = np.stack([values[0] * 1e-6, *(values[1 + rows[axis]] for axis in "xyz")])
-    return stacked, _unit(channel.subchannels[rows["x"]])
 
 
 def _rate_hz(time_s: Samples) -> float:

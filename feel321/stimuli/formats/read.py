@@ -5,16 +5,14 @@ The first bytes decide which format a file is, and only then its suffix. What is
 
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from feel321 import intake
-from feel321.doors import as_path, check_finite, check_rate, describe
-from feel321.extensions import Method, call, find_method, list_entry_points
+from feel321.doors import as_path, check_finite, check_rate
 from feel321.files import file_named
 from feel321.stimuli.formats import files
 from feel321.stimuli.formats.tables import Decoded, ReadingOptions, parse_unit, read_table
@@ -32,9 +30,7 @@ HDF5 = (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")
 WIDE_TEXT = (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff")
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
 BINARY_SUFFIXES = (".wav", ".npz", ".npy", ".mat", ".ide")
-SUFFIXES = (*TABLE_SUFFIXES, ".xml", *BINARY_SUFFIXES)
-"""Every suffix that is read."""
-
+SUFFIXES = (*TABLE_SUFFIXES, ".xml", *BINARY_SUFFIXES)  # Every suffix that is read
 TEXT_CONTROLS = frozenset(b"\t\n\v\f\r")
 HEAD_BYTES = 4096
 
@@ -45,79 +41,64 @@ def detect_format(path: Path) -> str:
         head = file.read(HEAD_BYTES)
     if not head:
         raise ValueError("the file is empty (0 bytes); copy or export it again")
-    for magic, name in MAGIC.items():
-        if head.startswith(magic):
-            return name
     if head.startswith(HDF5):
-        raise ValueError(
-            "MATLAB 7.3 and HDF5 files are not read; save it as an older MAT-file with save(..., '-v7')"
-        )
+        how = "save it as an older MAT-file with save(..., '-v7')"
+        raise ValueError(f"MATLAB 7.3 and HDF5 files are not read; {how}")
     if head.startswith(WIDE_TEXT):
         raise ValueError("the text is in UTF-16 or UTF-32; save the file as UTF-8")
-    return _detect_text(path, head)
+    name = next((name for magic, name in MAGIC.items() if head.startswith(magic)), "")
+    return name or _detect_text(path, head)
 
 
 def _detect_text(path: Path, head: bytes) -> str:
     suffix = path.suffix.lower()
-    is_text = all(byte >= ord(" ") or byte in TEXT_CONTROLS for byte in head)
-    if suffix == ".mat" and not is_text:
-        return "mat"  # version 4 has no first bytes of its own
-    if is_text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
+    if not all(byte >= ord(" ") or byte in TEXT_CONTROLS for byte in head):
+        if suffix == ".mat":
+            return "mat"  # version 4 has no first bytes of its own
+        got = f"binary data of no known format ({suffix!r})"
+        raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got {got}")
+    if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return "hatt"
-    if is_text and files.is_lmt(path):
+    if files.is_lmt(path):
         return "lmt"
-    if is_text and suffix in TABLE_SUFFIXES:
+    if suffix in TABLE_SUFFIXES:
         return "table"
-    if is_text and suffix in SUFFIXES:
-        raise ValueError(
-            f"a {suffix} file must not hold text; rename it to .csv if it is a table, or export it again"
-        )
-    got = f"the suffix {suffix!r}" if is_text else f"binary data of no known format ({suffix!r})"
-    raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got {got}")
+    if suffix in SUFFIXES:
+        raise ValueError(f"a {suffix} file must not hold text; rename it to .csv if it is a table")
+    raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got the suffix {suffix!r}")
 
 
-SATURATED_SAMPLES = 3
-"""So many equal samples in a row at an axis's extreme count as saturated."""
+SATURATED_SAMPLES = 3  # So many equal samples in a row at an axis's extreme count as saturated
 
 
 def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
     """Report saturated runs and constant axes, in samples (3, n) as recorded, not resampled.
 
-    A run is *saturated* if three or more equal samples stand at the axis's minimum or maximum and the signal came or
-    went by more than twice the smallest difference between its values: the smooth crest of a slow, quantised signal is
-    not reported.
+    Saturated: three or more equal samples at an extreme that it came to or left by more than twice its smallest step.
     """
     findings = []
     for name, axis in zip("xyz", acceleration, strict=True):
         start = np.concatenate([[0], np.flatnonzero(np.diff(axis)) + 1])
         length, value = np.diff(np.append(start, axis.size)), axis[start]
-        if len(start) == 1:
-            if axis.size > 1:
-                constant = f"{value[0]:.6g} m/s^2 in all {axis.size} samples"
-                findings.append(f"axis {name}: flat, {constant}")
-            continue
+        if len(start) == 1 and axis.size > 1:
+            findings.append(f"axis {name}: flat, {value[0]:.6g} m/s^2 in all {axis.size} samples")
         jumps = np.abs(np.diff(value))
         jump = np.maximum(np.append(0.0, jumps), np.append(jumps, 0.0))
-        for extreme in (value.min(), value.max()):
+        for extreme in dict.fromkeys([value.min(), value.max()]) if len(start) > 1 else ():
             hit = (value == extreme) & (length >= SATURATED_SAMPLES)
             if hit.any():  # sorting takes long
                 hit &= jump > 2 * np.diff(np.unique(value)).min()
             if hit.any():
-                findings.append(
-                    f"axis {name}: saturated at {extreme:.6g} m/s^2 in {hit.sum()} runs "
-                    f"({length[hit].sum()} samples), the first at {start[hit][0] / rate_hz:.6g} s"
-                )
+                runs = f"{hit.sum()} runs ({length[hit].sum()} samples)"
+                where = f"the first at {start[hit][0] / rate_hz:.6g} s"
+                at = f"axis {name}: saturated at {extreme:.6g} m/s^2"
+                findings.append(f"{at} in {runs}, {where}")
     return tuple(findings)
 
 
-AGREEMENT = 0.01
-"""How far, relatively, two statements of one rate may differ."""
-
-JITTER_LIMIT = 0.01
-"""How far, in sampling periods, an interval may differ from the median interval."""
-
-SPLINE_POINTS = 4
-"""A cubic spline needs as many samples."""
+AGREEMENT = 0.01  # How far, relatively, two statements of one rate may differ
+JITTER_LIMIT = 0.01  # How far, in sampling periods, an interval may differ from the median interval
+SPLINE_POINTS = 4  # A cubic spline needs as many samples
 
 
 def settle_sampling(
@@ -140,44 +121,38 @@ def settle_sampling(
         note = f"time stamps show steps of {steps}: finer jitter cannot be seen"
         return decoded.acceleration, rate_hz, (note,) if share > JITTER_LIMIT else ()
     if not request.resample:
-        raise ValueError(
-            f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}; "
-            "resample=True (command line: --resample) interpolates to an even rate"
-        )
+        must = f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}"
+        how = "resample=True (command line: --resample) interpolates to an even rate"
+        raise ValueError(f"{must}; {how}")
     even, rate_hz = _resample(decoded.acceleration, time_s)
     _agree(stated, rate_hz, who="the time stamps")
-    note = f"resampled on request to {even.shape[1]} samples at {rate_hz:.6g} Hz by cubic spline: {finding}"
-    return even, rate_hz, (note,)
+    made = f"{even.shape[1]} samples at {rate_hz:.6g} Hz by cubic spline"
+    return even, rate_hz, (f"resampled on request to {made}: {finding}",)
 
 
 def _agree(stated: float | None, own: float | None, *, who: str) -> float | None:
     if stated is None or own is None:
         return stated or own
     if abs(stated / check_rate(own) - 1) > AGREEMENT:
-        raise ValueError(
-            f"the rate is {stated:g} Hz, but {own:g} Hz by {who}; they may differ by {AGREEMENT:.0%}"
-        )
+        most = f"they may differ by {AGREEMENT:.0%}"
+        raise ValueError(f"the rate is {stated:g} Hz, but {own:g} Hz by {who}; {most}")
     return stated
 
 
 def _check_stamps(decoded: Decoded, time_s: Samples) -> Samples:
     n_samples = decoded.acceleration.shape[1]
     if time_s.shape != (n_samples,):
-        raise ValueError(
-            f"there must be one time stamp per sample, got {time_s.size} for {n_samples} samples"
-        )
+        got = f"got {time_s.size} for {n_samples} samples"
+        raise ValueError(f"there must be one time stamp per sample, {got}")
     if n_samples < 2:  # noqa: PLR2004 - an interval has two ends
-        raise ValueError(
-            f"there must be 2 time stamps or more, which give the rate; got {n_samples}"
-        )
+        raise ValueError(f"there must be 2 time stamps or more, for a rate; got {n_samples}")
     rising = np.diff(time_s) > 0  # false for NaN too
     if not rising.all():
         i = int(np.argmin(rising)) + 1
         place = f"sample {i}" if decoded.first_line is None else f"line {decoded.first_line + i}"
-        raise ValueError(
-            f"time stamps must increase, got {time_s[i]:.9g} after {time_s[i - 1]:.9g} s at {place}; "
-            "correct them, or leave the time column out and give rate_hz"
-        )
+        got = f"got {time_s[i]:.9g} after {time_s[i - 1]:.9g} s at {place}"
+        how = "correct them, or leave the time column out and give rate_hz"
+        raise ValueError(f"time stamps must increase, {got}; {how}")
     return time_s
 
 
@@ -191,11 +166,10 @@ def _find_jitter(time_s: Samples, step_s: float) -> str:
     irregular = np.flatnonzero(jitter > JITTER_LIMIT * period + 1.001 * rounding)
     if not irregular.size:
         return ""
-    return (
-        f"jitter up to {float(jitter.max()) / period:.1%} of the {period * 1e3:.6g} ms period, "
-        f"{irregular.size} of {intervals.size} intervals off, the first at {time_s[irregular[0]]:.6f} s, "
-        f"the longest {intervals.max() * 1e3:.6g} ms"
-    )
+    most = f"jitter up to {float(jitter.max()) / period:.1%} of the {period * 1e3:.6g} ms period"
+    off = f"{irregular.size} of {intervals.size} intervals off"
+    first = f"the first at {time_s[irregular[0]]:.6f} s"
+    return f"{most}, {off}, {first}, the longest {intervals.max() * 1e3:.6g} ms"
 
 
 def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
@@ -213,15 +187,6 @@ def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
 
 
 NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2; if it is another, name it (unit, --unit)"
-
-
-def settle_unit(own: str | None, requested: str | None) -> tuple[str, tuple[str, ...]]:
-    """Decide the unit from the file and the caller."""
-    wanted = None if requested is None else parse_unit(requested)
-    if own and wanted and own != wanted:
-        raise ValueError(f"the file gives the unit {own!r}, but unit={requested!r}; leave unit out")
-    unit = own or wanted
-    return (unit, ()) if unit else ("m/s^2", (NO_UNIT_NOTE,))
 
 
 READERS: Mapping[str, Callable[[Path, ReadingOptions], Decoded]] = {
@@ -290,11 +255,12 @@ def read_recording(
     """
     source = as_path(path)
     request = ReadingOptions(rate_hz, unit, columns, full_scale, resample)
-    if source.suffix.lower() not in SUFFIXES and (own := find_format(source)):
-        return read_own(own, source)
     with file_named(source):
         decoded = _decode(source, request)
-        unit_found, unit_notes = settle_unit(decoded.unit, unit)
+        wanted, own = None if unit is None else parse_unit(unit), decoded.unit
+        if own and wanted and own != wanted:
+            raise ValueError(f"the file gives the unit {own!r}, but unit={unit!r}; leave unit out")
+        unit_found, unit_notes = own or wanted or "m/s^2", (NO_UNIT_NOTE,) * (not (own or wanted))
         # What is not finite is refused in the next line.
         with np.errstate(over="ignore", invalid="ignore"):
             acceleration = decoded.acceleration * UNITS[unit_found]
@@ -304,99 +270,15 @@ def read_recording(
         digest = hashlib.sha256()
         for one in decoded.sources or (source,):
             digest.update(intake.read_bytes(one))
-        return Recording(
-            samples,
-            rate,
-            name=decoded.name or source.stem,
-            warnings=(*unit_notes, *decoded.notes, *notes, *found),
-            sha256=digest.hexdigest(),
-        )
-
-
-def read_recordings(
-    paths: PathLike | Iterable[PathLike],
-    **options: Any,  # noqa: ANN401 - those of read_recording, checked there
-) -> list[Recording]:
-    """Read several recordings, or report what is wrong with each at once.
-
-    Parameters
-    ----------
-    paths : str or path, or sequence of them
-        A folder, of which every file with a known suffix is read, or files.
-    **options
-        Options of `read_recording`, for every file.
-
-    Returns
-    -------
-    list of Recording
-        In the order of the files, by name for a folder; the files of an LMT-108 triple are one recording.
-
-    Raises
-    ------
-    ValueError
-        If any cannot be read; a line per file.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from feel321 import stimuli
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     for name in ("bumps", "hard_taps"):
-    ...         scene = stimuli.make_scene(name, duration_s=1)
-    ...         stimuli.write_wav(f"{folder}/{name}.wav", scene.acceleration, scene.rate_hz)
-    ...     [recording.name for recording in stimuli.read_recordings(folder, unit="m/s^2")]
-    ['bumps', 'hard_taps']
-    """
-    wanted = [as_path(paths)] if isinstance(paths, str | os.PathLike) else [*map(as_path, paths)]
-    if isinstance(paths, str | os.PathLike) and (folder := wanted[0]).is_dir():
-        wanted = [path for path in sorted(folder.iterdir()) if path.suffix.lower() in SUFFIXES]
-        if not wanted:
-            raise ValueError(
-                f"{folder}: holds no recording; the suffix must be one of {' '.join(SUFFIXES)}"
-            )
-    read: dict[tuple[str, str], Recording] = {}
-    problems = []
-    for file in wanted:
-        try:
-            found = read_recording(file, **options)
-        except (OSError, ValueError) as error:
-            problems.append(str(error))
-        else:
-            read.setdefault((found.name, found.sha256), found)
-    if problems:
-        raise ValueError("\n".join(problems))
-    return list(read.values())
-
-
-def find_format(
-    path: Path, *, folder: Path | None = None, declared: Mapping[str, str] | None = None
-) -> Method | None:
-    """Find the reader of a file's suffix, among those of a study and the entry points of `feel321.formats`."""
-    suffix = path.suffix.lower().removeprefix(".")
-    if suffix in (declared or {}):
-        return find_method("format", (declared or {})[suffix], folder=folder)
-    return find_method("format", suffix) if suffix in list_entry_points("format") else None
-
-
-def read_own(method: Method, path: Path) -> Recording:
-    """Read a file by a lab's reader; the digest is that of the file and the reader."""
-    content = intake.read_bytes(path)
-    found = call(method, method.load(), path, doing=f"given {path.name}")
-    if not isinstance(found, Recording):
-        raise TypeError(
-            f"{path.name}: {method} must return a feel321.stimuli.Recording, got {describe(found)}"
-        )
-    digest = hashlib.sha256(content + method.sha256.encode()).hexdigest()
-    return replace(found, name=found.name or path.stem, sha256=digest)
+        name, told = decoded.name or source.stem, (*unit_notes, *decoded.notes, *notes, *found)
+        return Recording(samples, rate, name=name, warnings=told, sha256=digest.hexdigest())
 
 
 def _decode(path: Path, request: ReadingOptions) -> Decoded:
     if path.is_dir():
         raise IsADirectoryError("is a folder; name a recording file in it")
     if not os.path.lexists(path):
-        raise FileNotFoundError(
-            f"there is no such file in {path.parent}; check the name and the folder"
-        )
+        raise FileNotFoundError(f"there is no such file in {path.parent}; check the name")
     kind = detect_format(path)
     if request.columns is not None and kind not in {"table", "npz", "mat"}:
         raise ValueError(f"columns is for tables, NPZ and MAT, got a {kind} file; leave it out")

@@ -84,18 +84,15 @@ def foreign_errors(what: str) -> Iterator[None]:
         if isinstance(error, intake.TooLargeError) or (isinstance(error, OSError) and error.errno):
             raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise ValueError(
-            f"cannot be read as {what} ({reason}); the file is damaged or of another kind, copy or export it again"
-        ) from error
+        why = f"cannot be read as {what} ({reason}); it is damaged or of another kind"
+        raise ValueError(f"{why}, copy or export it again") from error
 
 
 def stack_axes(axes: Mapping[str, Samples]) -> Samples:
     """Stack three axes of equal length, (n,) each, to (3, n); never shorten one to fit."""
     if len(axes) < AXES:
         got = f"only the axes {', '.join(sorted(axes))}" if axes else "no axes"
-        raise ValueError(
-            f"the file must hold three axes x, y, z, got {got}; a reduction needs all three"
-        )
+        raise ValueError(f"the file must hold three axes x, y, z, got {got}")
     if len({axis.size for axis in axes.values()}) > 1:
         counts = ", ".join(f"{axis} {axes[axis].size}" for axis in "xyz")
         raise ValueError(f"the axes must be of equal length, got {counts} samples; cut them alike")
@@ -104,25 +101,20 @@ def stack_axes(axes: Mapping[str, Samples]) -> Samples:
 
 def as_three_axes(values: Samples) -> Samples:
     """Turn an array to (3, n_samples), or say why it is not three axes."""
-    got = f"an array of shape {values.shape}"
+    got, must = f"an array of shape {values.shape}", "must have the shape (3, n) or (n, 3)"
     if values.size == 0:
-        raise ValueError(f"the array must have the shape (3, n) or (n, 3), got {got}: it is empty")
-    if values.ndim == 2 and values.shape[0] == AXES:  # noqa: PLR2004 - axes x samples
-        return values
-    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape):  # noqa: PLR2004 - axes x samples
+        raise ValueError(f"the array {must}, got {got}: it is empty")
+    if values.ndim < 2 or (values.ndim == 2 and 1 in values.shape and AXES not in values.shape[:1]):  # noqa: PLR2004 - axes x samples
         raise refuse_reduced(got)
-    if values.ndim == 2 and values.shape[1] == AXES:  # noqa: PLR2004 - axes x samples
-        return values.T
-    raise ValueError(
-        f"the array must have the shape (3, n) or (n, 3), exactly three axes; got {got}"
-    )
+    if values.ndim > 2 or AXES not in values.shape:  # noqa: PLR2004 - axes x samples
+        raise ValueError(f"the array {must}, exactly three axes; got {got}")
+    return values if values.shape[0] == AXES else values.T
 
 
 def refuse_reduced(got: str) -> ValueError:
     """Return the refusal of a signal with one axis."""
-    return ValueError(
-        f"{got} is one channel, so already reduced to one axis; read the raw three-axis recording instead"
-    )
+    what = "is one channel, so already reduced to one axis"
+    return ValueError(f"{got} {what}; read the raw three-axis recording instead")
 
 
 def normalise(text: str) -> str:
@@ -161,40 +153,6 @@ class Columns:
 
 def find_columns(labels: Sequence[str], *, wholes: Sequence[str] = ()) -> Columns:
     """Find x, y, z and time by their labels; wholes: what an array of all three axes is called."""
-    found = _sort_labels(labels, wholes)
-    axes, whole = [found[axis][0] for axis in "xyz" if found[axis]], found["whole"]
-    if whole and len(candidates := [*whole, *(axes if len(axes) == AXES else ())]) > 1:
-        several = ", ".join(labels[i] for i in candidates)
-        raise ValueError(
-            f"several arrays may be the acceleration ({several}); "
-            f"say which, e.g. columns=({labels[whole[0]]!r},) or columns=(x, y, z)"
-        )
-    for what in ("time",) if whole else ("time", "x", "y", "z"):
-        if len(found[what]) > 1:
-            both = ", ".join(labels[i] for i in found[what])
-            raise ValueError(
-                f"several columns may be {what} ({both}); say which, columns=(time, x, y, z)"
-            )
-    if not whole and len(axes) < AXES:
-        header = intake.clip(", ".join(labels), 200)
-        if len(labels) - len(found["time"]) == 1:
-            raise refuse_reduced(f"a table with the columns {header}")
-        present = ", ".join(axis for axis in "xyz" if found[axis])
-        got = f"only the axes {present}" if present else "no columns named x, y, z"
-        raise ValueError(
-            f"the header must name three axes, e.g. x, acc_y, az (m/s^2), got {got} ({header}); "
-            "or say columns=(time, x, y, z)"
-        )
-    for i in whole or axes:
-        if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
-            parse_unit(
-                unit
-            )  # a bracket that is no unit may say volts: only columns=... overrules it
-    return _with_units(labels, tuple(whole or axes), next(iter(found["time"]), None))
-
-
-def _sort_labels(labels: Sequence[str], wholes: Sequence[str]) -> dict[str, list[int]]:
-    """Sort labels by what they name."""
     found: dict[str, list[int]] = {"x": [], "y": [], "z": [], "time": [], "whole": []}
     for i, label in enumerate(labels):
         name = split_unit(label, ACCELERATION_SPELLINGS)[0]
@@ -204,7 +162,34 @@ def _sort_labels(labels: Sequence[str], wholes: Sequence[str]) -> dict[str, list
             found[match[1].lower()].append(i)
         elif TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0]):
             found["time"].append(i)
-    return found
+    axes = _check_found(found, labels)
+    for i in axes:
+        if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
+            parse_unit(unit)  # a bracket may say volts: only columns=... overrules it
+    return _with_units(labels, axes, next(iter(found["time"]), None))
+
+
+def _check_found(found: Mapping[str, list[int]], labels: Sequence[str]) -> tuple[int, ...]:
+    """Refuse columns that are missing, or several that may be the same one; return those of the acceleration."""
+    axes, whole = [found[axis][0] for axis in "xyz" if found[axis]], found["whole"]
+    candidates = [*whole, *(axes if len(axes) == AXES else ())]
+    if whole and len(candidates) > 1:
+        several = ", ".join(labels[i] for i in candidates)
+        how = f"say which, e.g. columns=({labels[whole[0]]!r},) or columns=(x, y, z)"
+        raise ValueError(f"several arrays may be the acceleration ({several}); {how}")
+    for what in ("time",) if whole else ("time", "x", "y", "z"):
+        if len(found[what]) > 1:
+            both = f"{what} ({', '.join(labels[i] for i in found[what])})"
+            raise ValueError(f"several columns may be {both}; say which, columns=(time, x, y, z)")
+    if not whole and len(axes) < AXES:
+        header = intake.clip(", ".join(labels), 200)
+        if len(labels) - len(found["time"]) == 1:
+            raise refuse_reduced(f"a table with the columns {header}")
+        present = ", ".join(axis for axis in "xyz" if found[axis])
+        got = f"only the axes {present}" if present else "no columns named x, y, z"
+        how = f"got {got} ({header}); or say columns=(time, x, y, z)"
+        raise ValueError(f"the header must name three axes, e.g. x, acc_y, az (m/s^2), {how}")
+    return tuple(whole or axes)
 
 
 def pick_columns(
@@ -222,17 +207,15 @@ def pick_columns(
     names = [label.strip().casefold() for label in labels or ()]
     places: list[int] = []
     for column in wanted:
-        if isinstance(column, str) and names.count(column.strip().casefold()) == 1:
-            places.append(names.index(column.strip().casefold()))
-        elif (
-            str(column).isdecimal() and int(column) < n_columns
-        ):  # the command line knows text only
-            places.append(int(column))
+        name = str(column).strip().casefold()
+        if isinstance(column, str) and names.count(name) == 1:
+            places.append(names.index(name))
+        elif name.isdecimal() and int(name) < n_columns:  # the command line knows text only
+            places.append(int(name))
         else:
             known = f"{intake.clip(', '.join(labels), 200)}, or " if labels else ""
-            raise ValueError(
-                f"a column must be {known}a number from 0 to {n_columns - 1}, got {column!r}"
-            )
+            must = f"{known}a number from 0 to {n_columns - 1}"
+            raise ValueError(f"a column must be {must}, got {column!r}")
     if len(set(places)) < len(places):
         raise ValueError(f"columns must name each column once, got {tuple(wanted)!r}")
     time = places.pop(0) if len(places) in {2, AXES + 1} else None
@@ -252,14 +235,9 @@ def _with_units(labels: Sequence[str], axes: tuple[int, ...], time: int | None) 
     return Columns(axes, time, named.pop(), None if second is None else TIME_SPELLINGS[second])
 
 
-BLANKS = r"\s+"
-"""Stands for any run of blanks as the delimiter, as pandas spells it."""
-
+BLANKS = r"\s+"  # any run of blanks as the delimiter, as pandas spells it
 COMMENT_MARKS = "#%"
-
-HEAD_LINES = 50
-"""Within so many lines the numbers must begin."""
-
+HEAD_LINES = 50  # within so many lines the numbers must begin
 MOST_COLUMNS = 1000
 
 
@@ -278,24 +256,32 @@ class TextTable:
 def read_table(path: Path, request: ReadingOptions) -> Decoded:
     """Read three columns of acceleration, and time if there is a column for it."""
     table = split_table(path)
+    n_columns, first = table.n_columns, table.first_line
     if request.columns is not None:
-        columns = pick_columns(request.columns, labels=table.labels, n_columns=table.n_columns)
+        columns = pick_columns(request.columns, labels=table.labels, n_columns=n_columns)
     elif table.labels:
         columns = find_columns(table.labels)
+    elif n_columns == 1:
+        raise refuse_reduced("one column without a header")
+    elif n_columns < AXES:
+        raise ValueError(f"there must be three axes x, y, z, got {n_columns} columns, no header")
+    elif n_columns > AXES:
+        how = "columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
+        raise ValueError(
+            f"{n_columns} columns without a header are ambiguous; say which, e.g. {how}"
+        )
     else:
-        columns = _count_columns(table.n_columns)
+        columns = Columns((0, 1, 2))
     if columns.time is None:
-        return Decoded(read_numbers(table, columns.axes), columns.unit, first_line=table.first_line)
-    values = read_numbers(table, (columns.time, *columns.axes))
-    second = columns.time_unit_s or 1.0
+        return Decoded(read_numbers(table, columns.axes), columns.unit, first_line=first)
+    values, second = read_numbers(table, (columns.time, *columns.axes)), columns.time_unit_s or 1.0
+    # The last printed decimal place of the time stamps: of the longest ones, at the end of the file.
+    rows = table.text.rsplit("\n", 100)[-100:]
+    cells = [_split_row(row, table.delimiter)[columns.time] for row in rows]
+    places = [Decimal(cell.replace(table.decimal, ".")).as_tuple().exponent for cell in cells]
+    step_s = second * float(10.0 ** min(place for place in places if isinstance(place, int)))
     time_s = values[0] * second
-    return Decoded(
-        values[1:],
-        columns.unit,
-        time_s=time_s,
-        time_step_s=second * _find_printed_step(table, columns.time),
-        first_line=table.first_line,
-    )
+    return Decoded(values[1:], columns.unit, time_s=time_s, time_step_s=step_s, first_line=first)
 
 
 def split_table(path: Path) -> TextTable:
@@ -305,21 +291,17 @@ def split_table(path: Path) -> TextTable:
     text = intake.decode(content, path.name).replace("\r\n", "\n").replace("\r", "\n")
     head = text.rstrip().split("\n", HEAD_LINES)
     above: list[str] = []
-    for i, row in enumerate(head[:HEAD_LINES]):
-        content_of_row = row.strip()
-        if not content_of_row:
+    for i, line in enumerate(head[:HEAD_LINES]):
+        if not (row := line.strip()):
             continue
-        delimiter = next((mark for mark in ";\t," if mark in content_of_row), BLANKS)
-        decimal = "," if delimiter in {";", "\t"} and "," in content_of_row else "."
-        if content_of_row[0] not in COMMENT_MARKS:
-            cells = _split_row(content_of_row, delimiter)
-            if any(_number(cell, decimal) is not None for cell in cells):
-                labels = _find_labels(above, delimiter, n_columns=len(cells), line=i + 1)
-                return TextTable("\n".join(head[i:]), i + 1, delimiter, decimal, labels, len(cells))
-        above.append(content_of_row)
-    raise ValueError(
-        f"there is no row of numbers in the first {HEAD_LINES} lines; export the file again"
-    )
+        delimiter = next((mark for mark in ";\t," if mark in row), BLANKS)
+        decimal = "," if delimiter in {";", "\t"} and "," in row else "."
+        cells = [] if row[0] in COMMENT_MARKS else _split_row(row, delimiter)
+        if any(_number(cell, decimal) is not None for cell in cells):
+            labels = _find_labels(above, delimiter, n_columns=len(cells), line=i + 1)
+            return TextTable("\n".join(head[i:]), i + 1, delimiter, decimal, labels, len(cells))
+        above.append(row)
+    raise ValueError(f"there is no row of numbers in the first {HEAD_LINES} lines; export it again")
 
 
 def _find_labels(
@@ -327,54 +309,31 @@ def _find_labels(
 ) -> tuple[str, ...] | None:
     """Find the names of the columns in the lines above the numbers."""
     if n_columns > MOST_COLUMNS:
-        raise ValueError(
-            f"a table must have at most {MOST_COLUMNS} columns, got {n_columns}; one row is one sample"
-        )
+        raise ValueError(f"a table must have at most {MOST_COLUMNS} columns, got {n_columns}")
     headers = [content for content in above if content[0] not in COMMENT_MARKS]
     if len(headers) > 1:
-        raise ValueError(
-            f"there must be at most one header line above the numbers, got {len(headers)}"
-        )
+        got = f"got {len(headers)}"
+        raise ValueError(f"there must be at most one header line above the numbers, {got}")
     if headers:
         labels = tuple(_split_row(headers[0], delimiter))
         if len(labels) != n_columns:
-            raise ValueError(
-                f"the header must name each cell, got {len(labels)} names but {n_columns} cells on line {line}"
-            )
+            got = f"got {len(labels)} names but {n_columns} cells on line {line}"
+            raise ValueError(f"the header must name each cell, {got}")
         return labels
     # numpy.savetxt writes its header as a comment.
     comment = tuple(_split_row(above[-1].lstrip(COMMENT_MARKS + " "), delimiter)) if above else ()
     return comment if len(comment) == n_columns else None
 
 
-def _count_columns(n_columns: int) -> Columns:
-    """Take three unlabelled columns as x, y, z; refuse any other number."""
-    if n_columns == AXES:
-        return Columns((0, 1, 2))
-    if n_columns == 1:
-        raise refuse_reduced("one column without a header")
-    if n_columns < AXES:
-        raise ValueError(
-            f"there must be three axes x, y, z, got {n_columns} columns without a header"
-        )
-    raise ValueError(
-        f"{n_columns} columns without a header are ambiguous; "
-        "say which they are, e.g. columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
-    )
-
-
 def read_numbers(table: TextTable, columns: Sequence[int]) -> Samples:
     """Convert some columns of a table, from 0, to numbers, (len(columns), n_rows); every cell must be one."""
     import pandas as pd
 
+    kinds = {i: np.float64 if i in columns else str for i in range(table.n_columns)}
+    text, mark, sign = io.StringIO(table.text), table.delimiter, table.decimal
     try:
         frame = pd.read_csv(
-            io.StringIO(table.text),
-            sep=table.delimiter,
-            decimal=table.decimal,
-            header=None,
-            dtype={i: np.float64 if i in columns else str for i in range(table.n_columns)},
-            skip_blank_lines=False,
+            text, sep=mark, decimal=sign, header=None, dtype=kinds, skip_blank_lines=False
         )
         values = frame[list(columns)].to_numpy().T
     except ValueError as error:
@@ -396,16 +355,14 @@ def _refuse_fault(table: TextTable, columns: Sequence[int]) -> None:
         except ValueError as error:
             raise ValueError(f"{place} {error}") from None
         if len(cells) != table.n_columns:
-            raise ValueError(
-                f"{place} there must be {table.n_columns} cells, got {len(cells)}; is the file truncated?"
-            )
+            must = f"there must be {table.n_columns} cells, got {len(cells)}"
+            raise ValueError(f"{place} {must}; is the file truncated?")
         for i in columns:
             number = _number(cells[i], table.decimal)
             if number is None or not math.isfinite(number):
-                label = f" {table.labels[i]!r}" if table.labels else ""
-                raise ValueError(
-                    f"{place} column {i}{label} must be a finite number, got {intake.clip(cells[i])!r}; correct the row"
-                )
+                column = f"column {i} {table.labels[i]!r}" if table.labels else f"column {i}"
+                got = f"got {intake.clip(cells[i])!r}; correct the row"
+                raise ValueError(f"{place} {column} must be a finite number, {got}")
 
 
 def _split_row(row: str, delimiter: str) -> list[str]:
@@ -425,11 +382,3 @@ def _number(cell: str, decimal: str) -> float | None:
         return float(cell.replace(decimal, "."))
     except ValueError:
         return None
-
-
-def _find_printed_step(table: TextTable, column: int) -> float:
-    """Return the last printed decimal place of the time stamps, from the longest ones, at the end of the file."""
-    rows = table.text.rsplit("\n", 100)[-100:]
-    cells = [_split_row(row, table.delimiter)[column].replace(table.decimal, ".") for row in rows]
-    places = [Decimal(cell).as_tuple().exponent for cell in cells]
-    return float(10.0 ** min(place for place in places if isinstance(place, int)))

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -40,7 +40,6 @@ from feel321.types import PathLike, Progress, Samples
 
 BUILT = "built.jsonl"
 PARTS = ".parts"
-
 THREADS = 2
 """Of a process: transforms release the interpreter, and each file waits for the disk. A lab's own code gets one."""
 
@@ -55,29 +54,24 @@ class Built:
     row: Stimulus
 
 
-@dataclass(frozen=True, slots=True)
-class Known:
-    """What is remembered of a recording's stimuli, by key and by id."""
-
-    measured: dict[str, render.Measured] = field(default_factory=dict)
-    built: dict[str, Built] = field(default_factory=dict)
+History = Mapping[str, Sequence[Built]]
+"""What the last build remembers, by recording."""
 
 
-def read_history(folder: Path) -> defaultdict[str, Known]:
-    """Read what the last build remembers, by recording; it saves work and is never trusted further."""
+def read_history(folder: Path) -> History:
+    """Read what the last build remembers; it saves work and is never trusted further."""
     from pydantic import TypeAdapter
 
     read_line = TypeAdapter(Built).validate_json
-    found: defaultdict[str, Known] = defaultdict(Known)
+    found: defaultdict[str, list[Built]] = defaultdict(list)
     path = folder / BUILT
     for line in path.read_bytes().splitlines() if path.is_file() else ():
         try:
             one = read_line(line)
         except ValueError:
             continue
-        found[one.recording].measured[one.key] = one.measured
         if one.row.file == Path(one.row.file).name == f"{one.row.stimulus_id}.wav":
-            found[one.recording].built[one.row.stimulus_id] = one
+            found[one.recording].append(one)
     return found
 
 
@@ -108,30 +102,24 @@ class Foreseen(render.Draft):
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """What a build keeps of a recording: all but its samples. drafts: what is made of it."""
+    """What a build keeps of a recording: all but its samples.
+
+    drafts: what is made of it; measured: of each draft, by key; fault: why it cannot be used.
+    """
 
     name: str
-    sha256: str
-    rate_hz: float
-    duration_s: float
-    warnings: tuple[str, ...]
+    sha256: str = ""
+    rate_hz: float = math.nan
+    duration_s: float = math.nan
+    warnings: tuple[str, ...] = ()
     drafts: tuple[render.Draft, ...] = ()
+    measured: Mapping[str, render.Measured] = field(default_factory=dict)
+    fault: str = ""
 
     @classmethod
-    def find(cls, recording: Recording, drafts: Iterable[render.Draft] = ()) -> "Facts":
+    def find(cls, one: Recording) -> "Facts":
         """Take the facts of a recording."""
-        one = recording
-        return cls(
-            one.name, one.sha256, one.rate_hz, one.duration_s, tuple(one.warnings), tuple(drafts)
-        )
-
-
-class Survey(NamedTuple):
-    """Facts of a recording and the measurements of its stimuli by key, or why it cannot be used."""
-
-    facts: Facts | None
-    measured: Mapping[str, render.Measured]
-    fault: str = ""
+        return cls(one.name, one.sha256, one.rate_hz, one.duration_s, tuple(one.warnings))
 
 
 def build_stimuli(
@@ -193,13 +181,9 @@ def build_stimuli(
 
 
 def build_set(
-    recordings: Sequence[Recording | Unread],
-    folder: PathLike,
-    recipe: Recipe,
-    *,
-    workers: int | Workers,
+    recordings: Sequence[Recording | Unread], folder: PathLike, recipe: Recipe, *, workers: int | Workers,
     move: Callable[[int, int], None],
-) -> tuple[list[Facts], StimulusSet]:
+) -> tuple[list[Facts], StimulusSet]:  # fmt: skip
     """Build a stimulus set as `build_stimuli` does; also gives the facts of the recordings."""
     check_names([recording.name for recording in recordings])
     folder, workers = as_path(folder, "folder"), as_workers(workers)
@@ -224,35 +208,29 @@ def build_set(
             return [found[place] for place in sorted(found)]
 
         history = read_history(folder)
-        surveyed = run(survey_recording, ((one, history[one.name].measured) for one in recordings))
-        facts, placed = _place(surveyed, recipe)
-        written = run(
-            _write_recording,
-            (
-                ((given, one), placed[one.name], history[one.name].built)
-                for given, one in zip(recordings, facts, strict=True)
-            ),
-        )
+        known = [history.get(one.name, ()) for one in recordings]
+        facts: list[Facts] = run(survey_recording, zip(recordings, known, strict=True))
+        placed = place_surveyed(facts, recipe)
+        sources = list(zip(recordings, facts, strict=True))
+        orders = [placed[one.name] for one in facts]
+        written = run(_write_recording, zip(sources, orders, known, strict=True))
         lines = [line for own in written for line in own]
-        stale = {one.row.file for known in history.values() for one in known.built.values()}
+        stale = {one.row.file for own in history.values() for one in own}
         details = _describe(facts, placed, recipe)
         return facts, _publish(folder, parts, lines, stale=stale, details=details)
 
 
 def survey_recording(
-    given: Recording | Unread,
-    known: Mapping[str, render.Measured],
-    *,
-    recipe: Recipe,
-    parts: Path | None = None,
-) -> Survey:
+    given: Recording | Unread, known: Iterable[Built], *, recipe: Recipe, parts: Path | None = None
+) -> Facts:
     """Read a recording, and measure its stimuli at unit gain but for those that are known; parts: to keep them."""
     try:
         recording = read_given(given)
     except (OSError, TypeError, ValueError) as error:
-        return Survey(None, {}, f"recording {given.name!r}: {error}")
+        return Facts(given.name, fault=f"recording {given.name!r}: {error}")
     drafts = render.list_drafts(recording, recipe)
-    measured = {one.key: known[one.key] for one in drafts if one.key in known}
+    before = {one.key: one.measured for one in known}
+    measured = {one.key: before[one.key] for one in drafts if one.key in before}
     new = [one for one in drafts if one.key not in measured]
     if new and parts is None:
         announce(recording.name)
@@ -262,76 +240,51 @@ def survey_recording(
             if parts is not None:
                 np.save(_part_path(parts, draft), samples.astype(np.float32))
     except ValueError as error:
-        return Survey(None, {}, str(error))
-    return Survey(Facts.find(recording, drafts), measured)
+        return Facts(given.name, fault=str(error))
+    return replace(Facts.find(recording), drafts=drafts, measured=measured)
 
 
 def _part_path(parts: Path, draft: render.Draft) -> Path:
     return parts / f"{draft.recording}-{draft.key}.npy"
 
 
-def foresee_stimuli(
-    recordings: Iterable[Recording | Unread], folder: Path, *, recipe: Recipe
-) -> list[Foreseen]:
-    """Compute how strong the stimuli of a set will be; nothing is written."""
-    history = read_history(folder)
-    return place_surveyed(
-        (survey_recording(one, history[one.name].measured, recipe=recipe) for one in recordings),
-        recipe,
-    )
-
-
-def place_surveyed(surveyed: Iterable[Survey], recipe: Recipe) -> list[Foreseen]:
-    """Give stimuli their levels and gains."""
-    return [one for orders in _place(surveyed, recipe)[1].values() for one in orders]
-
-
-def _place(
-    surveyed: Iterable[Survey], recipe: Recipe
-) -> tuple[list[Facts], dict[str, list[Foreseen]]]:
+def place_surveyed(surveyed: Sequence[Facts], recipe: Recipe) -> dict[str, list[Foreseen]]:
     """Give stimuli their levels and gains, by recording; refuses with every recording that cannot be used."""
-    surveyed = list(surveyed)
     if faults := [one.fault for one in surveyed if one.fault]:
         raise ValueError("\n".join(faults))
-    facts = [one.facts for one in surveyed if one.facts]
     measured = {key: note for one in surveyed for key, note in one.measured.items()}
-    gains = render.choose_gains(measured, recipe, drafts={one.name: one.drafts for one in facts})
-    placed = {
+    gains = render.choose_gains(measured, recipe, drafts={one.name: one.drafts for one in surveyed})
+    return {
         own.name: [
             Foreseen(**asdict(one), measured=measured[one.key], level=level, gain=gains[level, one.key])
             for level in recipe.levels
             for one in own.drafts
         ]
-        for own in facts
+        for own in surveyed
     }  # fmt: skip
-    return facts, placed
 
 
 def find_copies(facts: Iterable[Facts]) -> list[str]:
     """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
-    names: dict[str, list[str]] = {}
+    names: defaultdict[str, list[str]] = defaultdict(list)
     for one in facts:
-        names.setdefault(one.sha256, []).append(one.name)
+        names[one.sha256].append(one.name)
+    alike = [" and ".join(same) for sha256, same in names.items() if sha256 and len(same) > 1]
     return [
-        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
-        for sha256, same in names.items()
-        if sha256 and len(same) > 1
+        f"recordings {same} hold the same; leave one out, unless that is meant" for same in alike
     ]
 
 
 def _write_recording(
-    source: tuple[Recording | Unread, Facts],
-    orders: Sequence[Foreseen],
-    known: Mapping[str, Built],
-    *,
-    recipe: Recipe,
+    source: tuple[Recording | Unread, Facts], orders: Sequence[Foreseen], known: Iterable[Built], *, recipe: Recipe,
     parts: Path,
-) -> list[Built]:
+) -> list[Built]:  # fmt: skip
     """Write the files of one recording that are not there already; returns what is to be remembered of all."""
     given, facts = source
+    before = {one.row.stimulus_id: one for one in known}
     rows: dict[str, Stimulus] = {}
     for order in orders:
-        one = known.get(order.stimulus_id)
+        one = before.get(order.stimulus_id)
         if one and (one.key, one.row.gain) == (order.key, order.gain):
             path = parts.parent / one.row.file
             if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == one.row.sha256:
@@ -368,39 +321,27 @@ def _write(
     samples = rendered * (order.gain / recipe.full_scale_m_s2)
     clipped = int(np.count_nonzero(np.abs(samples) > 1.0))
     np.clip(samples, -1.0, 1.0, out=samples)
-    content = encode_wav(samples, recipe.rate_hz)
+    content, n_samples = encode_wav(samples, recipe.rate_hz), int(samples.shape[-1])
     name = f"{order.stimulus_id}.wav"
     write_bytes(parts / name, content)
-    mean_square = np.einsum("...n,...n->...", samples, samples).sum() / samples.shape[-1]
+    mean_square = np.einsum("...n,...n->...", samples, samples).sum() / n_samples
     sensation = order.sensation_levels_db[recipe.threshold]
     if clipped:
         played = samples * recipe.full_scale_m_s2
         sensation = sensation_level_db(played, recipe.rate_hz, threshold=recipe.threshold)
     measured = order.measured
     return Stimulus(
-        stimulus_id=order.stimulus_id,
-        recording=order.recording,
-        reducer=order.reducer,
-        level=order.level,
-        role=order.role,
-        file=name,
-        rate_hz=recipe.rate_hz,
-        n_samples=int(samples.shape[-1]),
-        duration_s=samples.shape[-1] / recipe.rate_hz,
-        peak=largest(samples),
-        rms_m_s2=float(np.sqrt(mean_square)) * recipe.full_scale_m_s2,
-        gain=order.gain,
-        spectral_match=measured.spectral_match,
-        temporal_match=measured.temporal_match,
-        clipped=clipped,
-        sha256=hashlib.sha256(content).hexdigest(),
-        recording_sha256=facts.sha256,
+        stimulus_id=order.stimulus_id, recording=order.recording, reducer=order.reducer, level=order.level,
+        role=order.role, file=name, rate_hz=recipe.rate_hz, n_samples=n_samples, duration_s=n_samples / recipe.rate_hz,
+        peak=largest(samples), rms_m_s2=float(np.sqrt(mean_square)) * recipe.full_scale_m_s2, gain=order.gain,
+        clipped=clipped, sha256=hashlib.sha256(content).hexdigest(), recording_sha256=facts.sha256,
+        spectral_match=measured.spectral_match, temporal_match=measured.temporal_match,
         spectral_match_bounded=measured.spectral_match_bounded,
-        sensation_level_db=sensation if np.isfinite(sensation) else math.nan,
         temporal_match_windowed=measured.temporal_match_windowed,
+        sensation_level_db=sensation if np.isfinite(sensation) else math.nan,
         band_high_hz=min(HIGHEST_HZ, facts.rate_hz / 2),
         metrics={k: math.nan if v is None else v for k, v in measured.metrics.items()},
-    )
+    )  # fmt: skip
 
 
 def _publish(

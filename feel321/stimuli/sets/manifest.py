@@ -197,15 +197,13 @@ class StimulusSet(Result):
 
 
 def find_raised(gains: Iterable[tuple[str, str, float]]) -> tuple[str, ...]:
-    """Name recordings that are played more than 40 dB stronger than recorded; gains: recording, level arm, gain.
-
-    In a level arm where each reducer has a gain of its own, the smallest is that of the recording.
-    """
-    least: dict[str, dict[str, float]] = {}
+    """Name recordings played over 40 dB stronger than recorded; gains: recording, arm, gain: the least counts."""
+    least: dict[tuple[str, str], float] = {}
     for recording, level, gain in gains:
-        own = least.setdefault(recording, {})
-        own[level] = min(gain, own.get(level, math.inf))
-    raised = {recording: max(own.values()) for recording, own in least.items()}
+        least[recording, level] = min(gain, least.get((recording, level), math.inf))
+    raised: dict[str, float] = {}
+    for (recording, _), gain in least.items():
+        raised[recording] = max(gain, raised.get(recording, 0.0))
     return tuple(
         f"{name}: played {20 * math.log10(gain):.0f} dB stronger than it was recorded (gain {gain:.3g}); is it "
         "more than sensor noise, and its unit right? If not, leave it out"
@@ -221,7 +219,12 @@ def write_manifest(
     rows = [describe_row(one) for one in stimuli]
     table = "".join(list_csv((*COLUMNS, *stimuli[0].metrics), rows))
     built = StimulusSet(folder, tuple(stimuli), hashlib.sha256(table.encode()).hexdigest())
-    own = {name: _describe_metric(entry) for name, entry in details.get("metrics", {}).items()}
+    own = {}
+    for name, facts in details.get("metrics", {}).items():
+        low, high = (facts.get(end) for end in ("low", "high"))
+        ends = f"{'-inf' if low is None else low} to {'inf' if high is None else high}"
+        unit = f" in {facts['unit']}" if facts.get("unit") else ""
+        own[name] = f"{facts['label']}{unit}, {ends}; higher is {facts['higher']}"
     whole = {**details, "columns": COLUMN_UNITS | own, "stimuli": rows}
     if built.warnings:
         whole["warnings"] = built.warnings
@@ -243,14 +246,6 @@ def _flatten(stimulus: Stimulus) -> dict[str, Any]:
     return row | dict(stimulus.metrics)
 
 
-def _describe_metric(facts: Mapping[str, Any]) -> str:
-    """Describe a further metric as the meaning and unit of its column."""
-    low, high = (facts.get(end) for end in ("low", "high"))
-    ends = f", {'-inf' if low is None else low} to {'inf' if high is None else high}"
-    unit = f" in {facts['unit']}" if facts.get("unit") else ""
-    return f"{facts['label']}{unit}{ends}; higher is {facts['higher']}"
-
-
 @dataclass(frozen=True, slots=True)
 class Details:
     """What is read of `manifest.json`; reducers, metrics: the lab's own, and further metrics, by name."""
@@ -270,10 +265,8 @@ def read_details(folder: Path) -> Details:
         return TypeAdapter(Details).validate_json(intake.read_bytes(path))
     except (OSError, ValueError) as error:
         reason = type(error).__name__ if isinstance(error, OSError) else _word(error)
-        raise ValueError(
-            f"{path}: is missing or damaged ({reason}); restore it from a copy, or, as long as no session was planned "
-            "with this set, write it anew with: feel321 build"
-        ) from None
+        do = "restore it from a copy, or, as long as no session was planned with this set, write it anew with"
+        raise ValueError(f"{path}: is missing or damaged ({reason}); {do}: feel321 build") from None
 
 
 def find_methods(folder: Path) -> dict[str, str]:
@@ -294,12 +287,8 @@ def _word(error: ValueError) -> str:
     if not isinstance(error, ValidationError):
         return str(error)
     first = error.errors(include_url=False)[0]
-    place = ".".join(map(str, first["loc"]))
-    return (
-        f"{place}: {first['msg']}, got {intake.clip(repr(first['input']))}"
-        if place
-        else first["msg"]
-    )
+    place, got = ".".join(map(str, first["loc"])), intake.clip(repr(first["input"]))
+    return f"{place}: {first['msg']}, got {got}" if place else first["msg"]
 
 
 def read_stimuli(folder: PathLike) -> StimulusSet:
@@ -321,22 +310,11 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
         If there is no manifest.
     ValueError
         If the manifest is damaged; the message names the line.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from feel321 import stimuli
-    >>> scene = stimuli.make_scene("bumps", duration_s=0.5)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     built = stimuli.build_stimuli([scene], folder, reducers=["dft321"], anchors=False)
-    ...     len(stimuli.read_stimuli(folder)), stimuli.check_stimuli(folder)
-    (2, [])
     """
     path = as_path(folder, "folder") / "manifest.csv"
     if not path.is_file():
-        raise FileNotFoundError(
-            f"{path}: there is no manifest; build the stimulus set first (feel321 build)"
-        )
+        do = "build the stimulus set first (feel321 build)"
+        raise FileNotFoundError(f"{path}: there is no manifest; {do}")
     sha256, line = digest_file(path), 1
     stimuli: list[Stimulus] = []
     try:
@@ -396,50 +374,44 @@ def check_stimuli(folder: PathLike) -> list[str]:
     except (OSError, ValueError) as error:
         return [str(error)]
     problems = [problem for stimulus in built for problem in _check_file(stimulus, built.folder)]
-    there = {path.name for path in built.folder.iterdir()}
-    strangers = there - {stimulus.file for stimulus in built}
-    problems += [
-        f"{name}: not in the manifest; move it away, or build the set again"
-        for name in sorted(strangers)
-        if name.endswith(".wav")
-    ]
+    strangers = {path.name for path in built.folder.iterdir()} - {one.file for one in built}
+    do = "not in the manifest; move it away, or build the set again"
+    problems += [f"{name}: {do}" for name in sorted(strangers) if name.endswith(".wav")]
     together = defaultdict(list)
     for stimulus in built:
         together[stimulus.recording, stimulus.level].append(stimulus)
-    for _, rows in sorted(together.items()):
-        problems += _check_anchors(rows)
-    return problems
+    return problems + [one for _, rows in sorted(together.items()) for one in _check_anchors(rows)]
 
 
 def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
-    path = folder / stimulus.file
+    name, path = stimulus.file, folder / stimulus.file
     if not path.is_file():
-        yield f"{stimulus.file}: missing; build the set again"
+        yield f"{name}: missing; build the set again"
         return
     if hashlib.sha256(path.read_bytes()).hexdigest() != stimulus.sha256:
-        yield f"{stimulus.file}: was changed after it was built (its SHA-256 differs); build the set again"
+        yield f"{name}: was changed after it was built (its SHA-256 differs); build the set again"
         return
     if stimulus.clipped:
-        yield f"{stimulus.file}: {stimulus.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
+        do = "lower the gain or raise full_scale_m_s2"
+        yield f"{name}: {stimulus.clipped} samples clipped; {do}"
     try:
         samples, rate = read_wav(path)
     except ValueError as error:
         yield str(error)
         return
-    if samples.shape[-1] != stimulus.n_samples or rate != stimulus.rate_hz:
-        yield f"{stimulus.file}: {samples.shape[-1]} samples at {rate} Hz, but the manifest says otherwise; build again"
+    if (n := samples.shape[-1]) != stimulus.n_samples or rate != stimulus.rate_hz:
+        yield f"{name}: {n} samples at {rate} Hz, but the manifest says otherwise; build again"
 
 
 def _check_anchors(stimuli: Sequence[Stimulus]) -> Iterator[str]:
     """Anchors must score below every test stimulus of their recording, on both metrics."""
     tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
+    do = "leave out that recording or that reducer, or set anchors = false"
     for anchor in (stimulus for stimulus in stimuli if stimulus.role == ANCHOR):
+        own = f"spectral match {anchor.spectral_match:.3g}, temporal {anchor.temporal_match:.3g}"
         for test in tests:
             better = anchor.spectral_match >= test.spectral_match
             if better or anchor.temporal_match > test.temporal_match + _ROUNDING:
-                yield (
-                    f"{anchor.stimulus_id}: spectral match {anchor.spectral_match:.3g}, "
-                    f"temporal {anchor.temporal_match:.3g}, not below {test.stimulus_id} ({test.spectral_match:.3g}, "
-                    f"{test.temporal_match:.3g}); an anchor must be worse than every test: leave out that recording "
-                    "or that reducer, or set anchors = false"
-                )
+                other = f"{test.spectral_match:.3g}, {test.temporal_match:.3g}"
+                lead = f"{anchor.stimulus_id}: {own}, not below {test.stimulus_id} ({other})"
+                yield f"{lead}; an anchor must be worse than every test: {do}"

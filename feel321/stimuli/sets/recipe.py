@@ -10,20 +10,15 @@ for the set keeps the differences between recordings, but then the highest peak 
 others are.
 
 Audio's anchors are low-passed at 3.5 and 7 kHz; below 1 kHz that is no change at all. Here the energy of the recording
-is put where the recording has least of it: a hum of two just noticeable bands (22 %), one at the quietest frequency of
-those that are easily felt, with nine tenths of the energy, and one at the quietest of all:
-
-- the *low* anchor is steady: wrong frequency, and nothing happens when the tool touches something;
-- the *mid* anchor follows the recording's envelope: wrong frequency, but at the right times.
-
-What correlates with an axis by chance is taken out, so the temporal match of both is 0. They are played at the
-sensation level of their recording, so that strength does not mark them: the envelope of a mid anchor is flattened until
-its peaks are no higher than the recording's, and an anchor that still does not fit the headroom is played as strong as
-fits. `check_stimuli` refuses a set in which an anchor does not score below every test stimulus of its recording.
-
-Anchors change continuously with the recording. Nothing is decided by a threshold, a smallest value or a phase that
-rounding could change, and the random numbers depend on seed and names only: otherwise the same set would differ between
-processors.
+is put where the recording has least of it: a hum of two just noticeable bands (22 %), nine tenths of it at the quietest
+frequency of those that are easily felt, the rest at the quietest of all. The *low* anchor is steady: wrong frequency,
+and nothing happens at a tap; the *mid* anchor follows the recording's envelope. What correlates with an axis by chance
+is taken out, so the temporal match of both is 0. They are played at the sensation level of their recording: the
+envelope of a mid anchor is flattened until its peaks are no higher than the recording's, and an anchor that still does
+not fit the headroom is played as strong as fits. `check_stimuli` refuses a set in which an anchor does not score below
+every test stimulus of its recording. Anchors change continuously with the recording: nothing is decided by a threshold,
+a smallest value or a phase that rounding could change, and the random numbers depend on seed and names only, or the
+same set would differ between processors.
 
 References
 ----------
@@ -98,9 +93,7 @@ FAINT = 0.1
 PRECEDENCE = 1000
 """A band with 1 % more energy than the quietest gets exp(-10) of its share; bands that differ by rounding share."""
 
-LOWEST_SHARE = 1e-30
-"""Bands with less of the energy are left out: 300 dB below the hum."""
-
+LOWEST_SHARE = 1e-30  # Bands with less of the energy are left out: 300 dB below the hum
 DRIFT_HZ = (3.0, 12.0)
 DRIFTS = 8
 """A hum's frequency drifts within its band by so many sinusoids, whose rates are drawn from this range."""
@@ -149,18 +142,16 @@ def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
     energy = smooth(np.sum([energy_spectrum(axis, smooth.bins) for axis in axes], axis=0))
     floor = NUMERICAL_FLOOR * float(np.einsum("in,in->", axes, axes))
     if not (energy > floor).any():
-        raise ValueError(
-            f"{recording.name!r} is silent between 20 and 1000 Hz and can have no anchors; leave it out"
-        )
+        why = "is silent between 20 and 1000 Hz and can have no anchors"
+        raise ValueError(f"{recording.name!r} {why}; leave it out")
     # Least at ten times the floor, and higher again below it: no threshold, or a band could cross it by rounding.
     energy = np.maximum(energy, floor)
     energy = energy + 10 * floor * (10 * floor / energy)
     inside = (frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)) & (
         frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
     )
-    easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * acceleration_threshold(
-        LOWEST_HZ
-    )
+    lowest = acceleration_threshold(LOWEST_HZ)
+    easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * lowest
     shares = [_share(energy, inside), _share(energy, inside & easily_felt)]
     return frequencies, FAINT * shares[0] + (1 - FAINT) * shares[1]
 
@@ -180,9 +171,8 @@ def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
     # As wide as a uniform distribution over the band. What is drifted is time, so that all bands are as wide.
     drift = WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
     warped = time_s.copy()
-    for rate, phase in zip(
-        2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS), strict=True
-    ):
+    rates, starts = 2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS)
+    for rate, phase in zip(rates, starts, strict=True):
         warped += drift / rate * np.sin(rate * time_s + phase)
     hum = np.zeros(recording.n_samples)
     for one in np.flatnonzero(shares > LOWEST_SHARE):
@@ -195,18 +185,13 @@ def _envelope(recording: Recording) -> Samples:
     from scipy.ndimage import gaussian_filter1d
 
     energy = np.einsum("in,in->n", recording.acceleration, recording.acceleration)
-    smooth = gaussian_filter1d(
-        energy, recording.rate_hz / (2 * np.pi * ENVELOPE_HZ), mode="nearest"
-    )
-    smooth = np.maximum(smooth, 0.0)
+    width = recording.rate_hz / (2 * np.pi * ENVELOPE_HZ)
+    smooth = np.maximum(gaussian_filter1d(energy, width, mode="nearest"), 0.0)
     return np.asarray(np.sqrt(smooth / smooth.mean()))
 
 
 def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold: str) -> Samples:
-    """Flatten an envelope softly, until an anchor as strong as its recording has no higher peaks.
-
-    At most so far that its root mean square marks the knee: events remain events.
-    """
+    """Flatten an envelope softly until the anchor has no higher peaks; at most its root mean square marks the knee."""
     from scipy.optimize import brentq
 
     def measure(samples: Samples) -> tuple[float, float]:
@@ -244,18 +229,14 @@ LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
 level, so that a rating cannot be one of strength."""
 
-ORIGINAL = "original"
-"""The reference that is the recording itself, on three channels."""
-
+ORIGINAL = "original"  # The reference that is the recording itself, on three channels
 NO_REFERENCE = "none"
 
 ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
 """Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for
 each recording with its reductions and reference, so that no spike of one recording weakens the others."""
 
-RIG_RATES_HZ = (2000, 384_000)
-"""Rates at which 1000 Hz can be played and sound devices run."""
-
+RIG_RATES_HZ = (2000, 384_000)  # Rates at which 1000 Hz can be played and sound devices run
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
@@ -330,71 +311,58 @@ class Recipe:
             if (not names and what != "metrics") or len(set(names)) < len(names):
                 raise ValueError(f"{what} must be one or more names, each once; got {names}")
         if always := [name for name in self.metrics if name in COLUMNS]:
-            raise ValueError(
-                f"metrics must name further ones, got {always[0]!r}, which every set has; leave it out"
-            )
+            got = f"got {always[0]!r}, which every set has; leave it out"
+            raise ValueError(f"metrics must name further ones, {got}")
         if not isinstance(self.conditioning, Conditioning):
-            raise TypeError(
-                f"conditioning must be a Conditioning, got {describe(self.conditioning)}"
-            )
+            got = describe(self.conditioning)
+            raise TypeError(f"conditioning must be a Conditioning, got {got}")
         self._check_numbers()
         check_name(self.threshold, THRESHOLDS, "threshold")
 
     def _find_methods(self) -> None:
         """Put short names in the place of the lab's own methods, and keep the methods that are used."""
         known = {(one.kind, one.name): one for one in self.methods}
-        used = {}
+        used: dict[tuple[str, str], Method] = {}
 
-        def find(kind: str, given: object, taken: Collection[str]) -> str:
-            own = known.get((kind, given)) if isinstance(given, str) else None
+        def settle(kind: str, given: Any, ours: Collection[str], *, taken: Collection[str]) -> str:  # noqa: ANN401 - a name or a function
+            own, named = None, isinstance(given, str)
+            if named and (
+                given in ours or not ((own := known.get((kind, given))) or is_given(kind, given))
+            ):
+                return str(given)
             method = own or find_method(kind, given, taken=taken)
             used[kind, method.name] = method
             return method.name
 
-        def is_own(kind: str, given: object, ours: Collection[str]) -> bool:
-            if not isinstance(given, str):
-                return True
-            return given not in ours and ((kind, given) in known or is_given(kind, given))
-
         references = (ORIGINAL, NO_REFERENCE, *REDUCERS)
         taken = (*references, *ANCHORS)
-        reducers = [
-            find("reducer", one, taken)
-            if is_own("reducer", one, REDUCERS)
-            else check_name(one, REDUCERS, "reducer")
-            for one in as_names(self.reducers, "reducers")
-        ]
-        reference = self.reference
-        if is_own("reducer", reference, references):
-            reference = find("reducer", reference, taken)
-        metrics = [
-            find("metric", one, COLUMNS) if is_own("metric", one, COLUMNS) else one
-            for one in as_names(self.metrics, "metrics")
-        ]
-        found = {"reducers": tuple(reducers), "reference": reference, "metrics": tuple(metrics)}
+        wanted, further = as_names(self.reducers, "reducers"), as_names(self.metrics, "metrics")
+        reducers = tuple(settle("reducer", one, REDUCERS, taken=taken) for one in wanted)
+        reference = settle("reducer", self.reference, references, taken=taken)
+        metrics = tuple(settle("metric", one, COLUMNS, taken=COLUMNS) for one in further)
+        own = tuple(name for kind, name in used if kind == "reducer")
+        for name in reducers:
+            check_name(name, own if name in own else REDUCERS, "reducer")
+        found = {"reducers": reducers, "reference": reference, "metrics": metrics}
         for name, value in (found | {"methods": tuple(used.values())}).items():
             object.__setattr__(self, name, value)
-        check_name(reference, references + tuple(one.name for one in used.values()), "reference")
+        check_name(reference, (*references, *own), "reference")
 
     def _check_numbers(self) -> None:
         low, high = RIG_RATES_HZ
-        if check_rate(self.rate_hz) != int(self.rate_hz) or not low <= self.rate_hz <= high:
-            raise ValueError(
-                f"rate_hz must be a whole number of Hz from {low} to {high}, got {self.rate_hz}"
-            )
-        if not 0 < self.headroom <= 1:
-            raise ValueError(
-                f"headroom must be above 0 and at most 1 (full scale), got {self.headroom}"
-            )
+        whole = check_rate(self.rate_hz) == int(self.rate_hz) and low <= self.rate_hz <= high
         check_rate(self.full_scale_m_s2, "full_scale_m_s2", " of m/s^2")
-        if self.gain not in GAINS and (
-            isinstance(self.gain, str | bool) or not 0 < self.gain < float("inf")
-        ):
-            raise ValueError(
-                f"gain must be a finite number above 0, 'set' or 'per_recording'; got {self.gain!r}"
-            )
-        if not 0 <= self.fade_s < float("inf"):
-            raise ValueError(f"fade_s must be 0 s or more, got {self.fade_s}")
+        number = not isinstance(self.gain, str | bool) and 0 < self.gain < float("inf")
+        gains = "a finite number above 0, 'set' or 'per_recording'"
+        rules = {
+            "rate_hz": (whole, f"a whole number of Hz from {low} to {high}"),
+            "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
+            "gain": (number or self.gain in GAINS, gains),
+            "fade_s": (0 <= self.fade_s < float("inf"), "0 s or more"),
+        }
+        for name, (is_right, must) in rules.items():
+            if not is_right:
+                raise ValueError(f"{name} must be {must}, got {getattr(self, name)!r}")
 
 
 def describe_recipe(recipe: Recipe) -> dict[str, Any]:
@@ -412,13 +380,11 @@ def check_names(names: Sequence[str]) -> None:
     seen: set[str] = set()
     for name in names:
         if not _NAME.fullmatch(name):
+            must = "up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter or digit"
             raise ValueError(
-                "a recording's name must be up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter "
-                f"or digit; got {name!r}, give it another name"
+                f"a recording's name must be {must}; got {name!r}, give it another name"
             )
         # Some file systems do not distinguish capitals from small letters.
         if name.casefold() in seen:
-            raise ValueError(
-                f"recording name {name!r} is there twice; give one of them another name"
-            )
+            raise ValueError(f"recording name {name!r} is there twice; rename one of them")
         seen.add(name.casefold())

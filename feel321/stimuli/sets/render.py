@@ -48,9 +48,8 @@ def find_metric(recipe: Recipe, name: str) -> Metric:
     """Find a metric of a recipe, feel321's or the lab's own."""
     method = _find_method(recipe, "metric", name)
     if method and name in METRICS:
-        raise ValueError(
-            f"metric {method.place!r}: the name {name!r} is taken by one of feel321's own; rename it"
-        )
+        why = f"the name {name!r} is taken by one of feel321's own"
+        raise ValueError(f"metric {method.place!r}: {why}; rename it")
     return OwnMetric(method) if method else METRICS[check_name(name, METRICS, "metric")]
 
 
@@ -237,9 +236,7 @@ def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, recipe: Reci
     }
     acceleration, rate_hz = scale.recording.acceleration, scale.recording.rate_hz
     pairs = [(acceleration, samples)]
-    if (
-        samples.ndim > 1
-    ):  # the original itself, matched channel by channel: each is compared with itself
+    if samples.ndim > 1:  # the original itself: each channel is compared with itself
         pairs = [(np.array([axis] * 3), axis) for axis in acceleration if axis.any()]
     further: dict[str, float | None] = {}
     for name in recipe.metrics:
@@ -258,10 +255,7 @@ def _measure(samples: Samples, rendered: Samples, *, scale: _Scale, recipe: Reci
 def choose_gains(
     measured: Mapping[str, Measured], recipe: Recipe, *, drafts: Mapping[str, Sequence[Draft]]
 ) -> dict[tuple[str, str], float]:
-    """Choose the gain of every stimulus, (level, key) -> gain, from what was measured; drafts: of each recording.
-
-    Anchors are played as strong as their recording, or as strong as the headroom allows: they never set a gain.
-    """
+    """Choose gains, (level, key) -> gain, from what was measured; anchors never set one; drafts: of each recording."""
     per_recording = recipe.gain == GAIN_PER_RECORDING
     together = drafts.values() if per_recording else [[*chain(*drafts.values())]]
     room = recipe.headroom * recipe.full_scale_m_s2
@@ -291,10 +285,8 @@ def _equalise_levels(
 ) -> dict[str, float]:
     levels = {key: note.levels[recipe.threshold] for key, note in notes.items()}
     if silent := sum(level == 0.0 for level in levels.values()):
-        raise ValueError(
-            f"equal_intensity: {silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong as "
-            "the others; leave out this level, or the reducer or recording that is silent"
-        )
+        why = f"{silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong"
+        raise ValueError(f"equal_intensity: {why}; leave out this level, or what is silent")
     room = recipe.headroom * recipe.full_scale_m_s2
     common = room / max(notes[key].peak / levels[key] for key in deciding)
     return {key: common / level for key, level in levels.items()}

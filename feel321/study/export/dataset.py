@@ -28,7 +28,7 @@ from feel321.files import (
 from feel321.protocols.texts import find_question
 from feel321.records import to_json_value
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.analyze import list_info, list_labels
+from feel321.study.analyze import list_info
 from feel321.study.checkpoints import find_newest
 from feel321.study.export.narrative import METHODS_FILE, make_methods, render
 from feel321.study.folder import RATING_COLUMNS
@@ -331,10 +331,11 @@ def _write_stimuli(study: StudyFolder, settings: Settings, folder: Path) -> None
     with intake.open_text(study.manifest) as file:
         reader = csv.DictReader(file)
         rows, header = list(reader), list(reader.fieldnames or ())
-    origins, labels = list_origins(settings), list_labels(settings)
+    origins = list_origins(settings)
     numbers = number_names(origins.values(), "source")
     further = {"source": {name: numbers[one] for name, one in origins.items()}}
-    further |= {str(name): dict(labels[name].fillna("")) for name in labels}
+    samples = {one.title: one.sample or "" for one in settings.recordings}
+    further |= {"sample": samples} if any(samples.values()) else {}
     added = [name for name in further if name not in header]
     for row in rows:
         row.update({name: further[name].get(row["recording"], "") for name in added})

@@ -19,7 +19,7 @@ from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, Question, read_ready, read_texts
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
-from feel321.stimuli.formats.read import find_format, read_own, read_recording
+from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -155,13 +155,12 @@ def add_methods(study: StudyFolder) -> None:
         if entry.name.endswith(".py.txt"):
             create_text(home / entry.name.removesuffix(".txt"), entry.read_text(encoding="utf-8"))
     taps = [100 * 0.9 ** (n % 250) * (-1) ** (n // 4) for n in range(2000)]
-    lines = ["2000", *(f"{0.4 * one:.4f} {-0.3 * one:.4f} {one:.4f}" for one in taps)]
-    create_text(study.path / "recordings" / "tap.xyz", "\n".join(lines) + "\n")
+    lines = ["x,y,z", *(f"{0.4 * one:.4f},{-0.3 * one:.4f},{one:.4f}" for one in taps)]
+    create_text(study.path / "recordings" / "tap.csv", "\n".join(lines) + "\n")
     changes = {
         "stimuli.reducers": ["say321", "pca321", "dft321", "my321", "wav321"],
         "stimuli.metrics": ["snr"],
         "session.protocols": ["realism", "similarity", "methods/roughness.py:roughness"],
-        "analysis.screening": ["methods/slow.py:slow"],
     }
     text = change_settings(intake.read_small(study.settings), changes)
     tables = (TEMPLATES / "methods" / "tables.toml").read_text(encoding="utf-8")
@@ -203,25 +202,16 @@ def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
 
 def list_unread(settings: Settings, folder: Path) -> list[Unread]:
     """List the recordings of a study as they are to be read."""
-    return [
-        Unread(entry.title, open_entry, (entry, folder, settings.formats))
-        for entry in settings.recordings
-    ]
+    return [Unread(entry.title, open_entry, (entry, folder)) for entry in settings.recordings]
 
 
-def open_entry(entry: RecordingTable, folder: Path, formats: Mapping[str, str]) -> Recording:
+def open_entry(entry: RecordingTable, folder: Path) -> Recording:
     """Read a recording as its table says."""
     path = folder / (entry.file or "")
     own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
     if entry.scene:
         length = {"rate_hz": entry.rate_hz or SCENE_RATE_HZ, "duration_s": entry.duration_s}
         recording = make_scene(entry.scene, rng=entry.seed, **length)
-    elif method := find_format(path, folder=folder, declared=formats):
-        if given := [name for name, value in own.items() if value]:
-            raise ValueError(
-                f"{given[0]} is for feel321's formats, {method} reads this one; leave it out"
-            )
-        recording = read_own(method, path)
     else:
         recording = read_recording(path, **own)
     return recording if entry.rotation is None else turn_recording(recording, entry.rotation)

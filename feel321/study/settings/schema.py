@@ -344,7 +344,6 @@ class RecordingTable(kinds.TomlTable):
     file: kinds.Words | None = None
     files: kinds.Words | None = None
     sample: kinds.Words | None = None
-    interaction: kinds.Words | None = None
     picture: kinds.Words | None = None
     rotation: kinds.Seed | None = None
     rate_hz: kinds.Rate | None = None
@@ -505,7 +504,6 @@ class AnalysisTable(kinds.TomlTable):
     """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
 
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Some] = PLANNED
-    screening: tuple[kinds.Words, ...] = ()
     draws: Annotated[int, Field(ge=100, le=100_000)] = 2000
     margin: Annotated[float, Field(gt=0, le=100)] | None = None
     hypotheses: tuple[kinds.Words, ...] = ()
@@ -532,7 +530,6 @@ class Settings(kinds.TomlTable):
     stimuli: StimuliTable = StimuliTable()
     reducers: dict[str, ReducerTable] = Field(default_factory=dict)
     metrics: dict[str, MetricTable] = Field(default_factory=dict)
-    formats: dict[str, kinds.Words] = Field(default_factory=dict)
     rig: RigTable = RigTable()
     session: SessionTable = SessionTable()
     tasks: dict[Annotated[str, AfterValidator(_check_task)], TaskTable] = Field(

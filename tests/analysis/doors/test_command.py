@@ -62,16 +62,13 @@ def spoil(study: object, how: str) -> None:
         ("ratings missing", "ratings.csv: No such file or directory; check the name"),
         ("ratings folder", "ratings.csv: Is a directory; check the name"),
         ("ratings dangling", "ratings.csv: No such file or directory"),
-        (
-            "ratings semicolons",
-            "ratings.csv, line 1: column participant, stimulus_id, scale, rating is missing; got",
-        ),
+        ("ratings semicolons", "ratings.csv, line 1: column participant, stimulus_id, scale, rating is missing; got"),
         ("ratings cut", "ratings.csv, line "),
         ("ratings twice", "and 87 more: trial must occur once with the same"),
         ("manifest missing", "manifest.csv: No such file or directory"),
         ("manifest twice", "and 12 more: stimulus_id must be listed once, got 'rec0_mag321_as_is'"),
     ],
-)
+)  # fmt: skip
 def test_what_cannot_be_read_is_one_line_and_no_report(
     small: object, tmp_path: Path, capsys: Capture, how: str, message: str
 ) -> None:

@@ -13,7 +13,7 @@ from feel321.analysis.association.correlate import correlate
 from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.metrics import describe_further, describe_manifest
 from feel321.analysis.table.reading import ROSTER, read_table
-from feel321.analysis.table.schema import LABELS, RATINGS
+from feel321.analysis.table.schema import RATINGS
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.settings.read import list_origins, read_settings
@@ -59,19 +59,10 @@ def test_odd_ratings_are_told(files: Callable[..., object], change: Change, note
 
 LISTED = [
     (lambda f: f.assign(colour="red"), "manifest.csv: columns that are not used: 'colour'."),
-    (
-        lambda f: f.assign(temporal_match=""),
-        "manifest.csv has nothing in a column 'temporal_match', so that metric is",
-    ),
-    (
-        lambda f: f.assign(level=""),
-        "manifest.csv has nothing in a column 'level': every stimulus is taken as 'as_is'.",
-    ),
-    (
-        lambda f: f.assign(source=f["recording"].str[:3]),
-        "The 4 recordings come from 1 source, turned, cut or edited",
-    ),
-]
+    (lambda f: f.assign(temporal_match=""), "manifest.csv has nothing in a column 'temporal_match', so that metric is"),
+    (lambda f: f.assign(level=""), "manifest.csv has nothing in a column 'level': every stimulus is taken as 'as_is'."),
+    (lambda f: f.assign(source=f["recording"].str[:3]), "The 4 recordings come from 1 source, turned, cut or edited"),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("change", "note"), LISTED)
@@ -112,7 +103,7 @@ def test_ways_of_writing_the_same_table(
 def test_the_schema_knows_every_column_that_feel321_writes() -> None:
     further = describe_further()
     assert list(RATINGS) == [name for name in RATING_COLUMNS if name not in further]
-    assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *LABELS, *describe_further()}
+    assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *describe_further()}
     assert {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS} == ROSTER | {"participant"}
 
 

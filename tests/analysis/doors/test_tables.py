@@ -36,31 +36,23 @@ def make_trials(table: pd.DataFrame) -> pd.DataFrame:
 
 
 CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
-    "bradley_terry": lambda table: analysis.bradley_terry(
-        make_trials(table)[["first", "second", "winner"]]
-    ),
+    "bradley_terry": lambda table: analysis.bradley_terry(make_trials(table)[["first", "second", "winner"]]),
     "bradley_terry by rater": lambda table: analysis.bradley_terry(
         make_trials(table)[["participant", "first", "second", "winner"]], by_rater=True, draws=10
     ),
-    "compare_metrics": lambda table: analysis.compare_metrics(
-        table, *METRICS, draws=10, rng=make_rng()
-    ),
+    "compare_metrics": lambda table: analysis.compare_metrics(table, *METRICS, draws=10, rng=make_rng()),
     "correlate": lambda table: analysis.correlate(table, METRICS[0], draws=10, rng=make_rng()),
-    "compare_reducers": lambda table: analysis.compare_reducers(
-        table, "dft321", "mag321", margin=5
-    ),
+    "compare_reducers": lambda table: analysis.compare_reducers(table, "dft321", "mag321", margin=5),
     "discriminate": lambda table: analysis.discriminate(make_trials(table)),
     "find_sources": lambda table: find_sources(table).to_frame(),
     "fit_attributes": lambda table: analysis.fit_attributes(table, METRICS)["realism"].slopes,
-    "fit_mixed": lambda table: (
-        analysis.fit_mixed("rating ~ spectral_match + (1 | participant)", table).fixed
-    ),
+    "fit_mixed": lambda table: (analysis.fit_mixed("rating ~ spectral_match + (1 | participant)", table).fixed),
     "fit_primary": lambda table: analysis.fit_primary(table, METRICS).slopes,
     "profile_reducers": compare.profile_reducers,
     "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, rng=make_rng()),
     "rater_model": analysis.rater_model,
     "screen_raters": lambda table: analysis.screen_raters(table).table,
-}
+}  # fmt: skip
 
 POOLED = ["compare_metrics", "compare_reducers", "correlate", "fit_primary"]
 """What is about one scale and one level."""

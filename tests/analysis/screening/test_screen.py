@@ -69,24 +69,16 @@ SPOILED = {
     "hidden_reference": lambda table: alter(table, lambda _: 80.0, role="reference"),
     "mid_anchor": lambda table: alter(table, lambda _: 95.0, reducer="anchor_mid"),
     "low_anchor": lambda table: alter(table, lambda _: 70.0, reducer="anchor_low"),
-    "straight_lining": lambda table: alter(
-        table, lambda rows: 60 + RNG.uniform(0, 1.5, len(rows)), role="test"
-    ),
-    "test_retest": lambda table: alter(
-        table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"
-    ),
-    "repeat_sd": lambda table: alter(
-        table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"
-    ),
+    "straight_lining": lambda table: alter(table, lambda rows: 60 + RNG.uniform(0, 1.5, len(rows)), role="test"),
+    "test_retest": lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
+    "repeat_sd": lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
     "reversed_scale": lambda table: alter(table, lambda rows: 100 - rows["rating"], role="test"),
     "too_fast": lambda table: table.assign(
         response_time_s=table["response_time_s"].where(table["participant"] != "p03", 0.2)
     ),
-    "outliers": lambda table: alter(
-        table, lambda rows: (rows["rating"] + 40).clip(0, 100), role="test"
-    ),
+    "outliers": lambda table: alter(table, lambda rows: (rows["rating"] + 40).clip(0, 100), role="test"),
     EXPERTISE: lambda table: alter(table, lambda rows: RNG.uniform(0, 100, len(rows)), role="test"),
-}
+}  # fmt: skip
 
 
 def test_good_raters_are_left_alone() -> None:
@@ -204,34 +196,18 @@ def test_the_gauge_of_shuffled_ratings_is_uniform() -> None:
 @pytest.mark.parametrize(
     ("spoil", "rules", "message"),
     [
-        (
-            lambda table: table.drop(columns="rating"),
-            None,
-            "column rating is missing.*; got participant",
-        ),
-        (
-            lambda table: table.drop(columns=["recording", "reducer", "level"]),
-            None,
-            "column stimulus_id is missing",
-        ),
+        (lambda table: table.drop(columns="rating"), None, "column rating is missing.*; got participant"),
+        (lambda table: table.drop(columns=["recording", "reducer", "level"]), None, "column stimulus_id is missing"),
         (lambda table: table.iloc[:0], None, "got no row"),
-        (
-            lambda table: table.assign(rating=table["rating"] + 1),
-            None,
-            "between 0 and 100, got 12 ratings such as 10",
-        ),
+        (lambda table: table.assign(rating=table["rating"] + 1), None, "between 0 and 100, got 12 ratings such as 10"),
         (lambda table: table.assign(rating=np.nan), None, "ratings such as nan"),
         (lambda table: table.assign(participant=None), None, "rows without a participant"),
         (lambda table: table, ["mid"], "one of hidden_reference.* got 'mid'"),
         (lambda table: table, [], "got no rule"),
         (lambda table: table, [EXPERTISE], "without 'expertise', or with rng"),
-        (
-            lambda table: table,
-            {"mid_anchor": 15},
-            "from -1 to 1, .* got the limit 15 for 'mid_anchor'",
-        ),
+        (lambda table: table, {"mid_anchor": 15}, "from -1 to 1, .* got the limit 15 for 'mid_anchor'"),
     ],
-)
+)  # fmt: skip
 def test_refusals(
     spoil: Callable[[pd.DataFrame], pd.DataFrame], rules: object, message: str
 ) -> None:

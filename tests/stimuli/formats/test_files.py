@@ -92,17 +92,11 @@ def test_a_wav_that_contradicts_what_is_said_of_it_is_refused(
         lambda s: {"acceleration": s, "rate_hz": 1000.0, "unit": "g"},
         lambda s: {"ACC": s.T, "fs": np.array([1000]), "units": np.array(["g"])},
         lambda s: {"x": s[0], "y": s[1], "z": s[2], "rate": 1000, "unit": "G"},
-        lambda s: {
-            "acc_x": s[0],
-            "acc_y": s[1],
-            "acc_z": s[2],
-            "time": np.arange(60) / 1000,
-            "unit": "g",
-        },
+        lambda s: {"acc_x": s[0], "acc_y": s[1], "acc_z": s[2], "time": np.arange(60) / 1000, "unit": "g"},
         lambda s: {"tmp": s.T, "time_ms": np.arange(60.0), "unit": "g"},
         lambda s: {"data": s, "t": (5 + np.arange(60) / 1000).astype(np.float32), "unit": "g"},
     ],
-)
+)  # fmt: skip
 @pytest.mark.parametrize("kind", ["npz", "mat"])
 def test_named_arrays_are_found(
     tmp_path: Path, signal: Signal, kind: str, arrays: Callable[[Signal], dict[str, object]]
@@ -174,19 +168,13 @@ def test_hatt_axes_are_found_flat_or_nested(
     [
         ("<R><Accel>1 2 3</Accel></R>", "scalar Accel signal .*already reduced"),
         ("<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY></R>", "only the axes x, y"),
-        (
-            "<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY><AccelZ>1</AccelZ></R>",
-            r"equal length, got x 2, y 2, z 1",
-        ),
+        ("<R><AccelX>1 2</AccelX><AccelY>1 2</AccelY><AccelZ>1</AccelZ></R>", r"equal length, got x 2, y 2, z 1"),
         ("<R><AccelX>1 two</AccelX></R>", "a value of the x axis is not a number"),
         ("<R><AccelX>1</AccelX><AccelY>1</AccelY><AccelZ>1</AccelZ></R>", "no sampling rate"),
         ("<R><AccelX>1", "cannot be read as XML"),
-        (
-            '<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>',
-            "declares a document type or entities",
-        ),
+        ('<!DOCTYPE R [<!ENTITY a "1">]><R><AccelX>&a;</AccelX></R>', "declares a document type or entities"),
     ],
-)
+)  # fmt: skip
 def test_xml_that_is_no_recording_is_refused(tmp_path: Path, content: str, message: str) -> None:
     (tmp_path / "a.xml").write_text(content)
     with pytest.raises(ValueError, match=rf"^a\.xml: .*{message}"):

@@ -401,7 +401,7 @@ CHEATS: dict[str, Cheat] = {
     "the texts of participants are changed afterwards": Cheat(
         replace_text("texts.toml", "#", "# changed\n#")
     ),
-    "the code of a screening rule is changed afterwards": Cheat(
+    "the code of a metric is changed afterwards": Cheat(
         replace_text("methods/strict.py", "0.5", "0.05")
     ),
     "the rig's full scale is changed afterwards": Cheat(

@@ -53,18 +53,16 @@ practice = 0
 use = "demographics"
 [analysis]
 draws = 100
-screening = ["methods/strict.py:strict"]
+[metrics.strict]
+use = "methods/strict.py:strict"
 """
 
-RULE = '''"""A screening rule of the lab's own."""
+RULE = '''"""A metric of the lab's own."""
 
 
-def strict(rows):
+def strict(acceleration, reduced, rate_hz):
     """Measure nothing."""
-    return 0 * rows.groupby("participant")["rating"].mean()
-
-
-strict.limit = 0.5
+    return 0.5
 '''
 
 REAL = """

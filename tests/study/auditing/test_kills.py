@@ -39,7 +39,6 @@ training = 0
 practice = 0
 [analysis]
 draws = 100
-screening = []
 """
 
 STATION = str(Path(__file__).parents[1] / "watch" / "station.py")

@@ -36,8 +36,6 @@ protocols = ["realism", "similarity"]
 [session.rehearsal]
 training = 1
 practice = 0
-[analysis]
-screening = []
 """
 
 

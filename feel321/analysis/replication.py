@@ -1,4 +1,8 @@
-"""Measures that the claims of papers are examined with.
+"""Papers replicated: their claims, what this study's ratings say to each of them, and the measures that tell.
+
+A measure is a function `measure_NAME(table, claim, choices) -> ClaimValue`, and one line in `feel321.names.MEASURES`.
+It takes a table of one scale and one level, raises ValueError where the claim cannot be estimated, and knows nothing of
+the paper's number: `judge` compares. Where a claim names exceptions, it is called a second time without them.
 
 Landin et al. 2010 (doi:10.1007/978-3-642-14075-4_12): metrics of transforms, and how they were rated. Lee et al. 2022
 (doi:10.1109/TOH.2022.3174229): one axis against three, and what the axes of maps mean; both take dissimilarities.
@@ -10,11 +14,14 @@ reducers were rated, spread and mean rise together, and alone the spread goes wi
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis import maps, words
+from feel321.analysis import space, words
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.contrasts.compare import fit_reducers
 from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
@@ -22,25 +29,222 @@ from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.model import fit_primary, fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells
 from feel321.analysis.primary.sensitivity import FEWEST_REDUCERS, measure_excess
-from feel321.analysis.replication.claims import USUAL_LEVEL, ClaimValue, Ends
+from feel321.analysis.table.items import recast_pairs, split_tests
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
 from feel321.analysis.words import INTERVALS
 from feel321.doors import check_name
+from feel321.names import MEASURES
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from pandas import DataFrame, Series
 
-    from feel321.analysis.replication.claims import PaperClaim
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
-OVER_RECORDINGS = "95 % t interval over recordings"
-LIMIT = 0.05
-"""Where permutations cannot give a p below, nothing is estimated."""
+AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimable"
+"""Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number."""
 
+USUAL_LEVEL = "as_is"  # The level that a claim is about where it names none and there are several
+Ends = tuple[float, float, float]  # A value and the ends of its interval
+NO_NUMBER: Ends = (math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True, slots=True)
+class PaperClaim:
+    """A claim of a paper.
+
+    source: where it was seen, one of `PROVENANCE`. expect: one of `EXPECTATIONS`. paper: the paper's number and its
+    range, NaN where it is not known. exceptions: reducers that the paper names as exceptions. options: what the
+    measure needs to know; `scale` and `level` choose the ratings.
+    """
+
+    name: str
+    claim: str
+    source: str
+    measure: str
+    expect: str = "positive"
+    paper: Ends = NO_NUMBER
+    exceptions: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Paper:
+    """A paper that is replicated.
+
+    seen: full text or abstract. published: its table of metrics, one row per number: recording, reducer, metric,
+    paper, table, source. mountings: recording, reducer, metric, and mean and quantiles over orientations of the sensor.
+    """
+
+    citation: str
+    doi: str
+    seen: str
+    claims: tuple[PaperClaim, ...] = ()
+    published: DataFrame | None = None
+    mountings: DataFrame | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ClaimValue:
+    """What a measure found.
+
+    kind: how the number is rounded, a key of `words.PLACES`. unit: what stands behind it. n: what it rests on. method,
+    interval: how value and interval were computed. beside: for the expectations highest and lowest, by the name of each
+    other unit, ours minus theirs with its interval. note: a sentence of the measure's own.
+    """
+
+    value: float
+    low: float = math.nan
+    high: float = math.nan
+    kind: str = "correlation"
+    unit: str = ""
+    n: int = 0
+    method: str = ""
+    interval: str = ""
+    beside: Mapping[str, Ends] = field(default_factory=dict)
+    note: str = ""
+
+    def describe(self) -> str:
+        """Write the number with its unit and interval."""
+        value, interval = words.format_estimate(self.value, self.low, self.high, kind=self.kind)
+        unit = f" {self.unit}" if self.unit else ""
+        return f"{value}{unit}" + (f" ({interval})" if interval != words.ABSENT else "")
+
+
+Measure = Callable[["Table", PaperClaim, "Choices"], ClaimValue]
+
+
+@dataclass(frozen=True, slots=True)
+class PaperAnswer:
+    """What this study says to a claim; found is None where there is no number, and the sentence says why."""
+
+    claim: PaperClaim
+    verdict: str
+    sentence: str
+    found: ClaimValue | None = None
+    without: ClaimValue | None = None
+
+
+def answer_claims(table: Table, paper: Paper, choices: Choices) -> Iterator[PaperAnswer]:
+    """Answer every claim of a paper."""
+    for claim in paper.claims:
+        measure: Measure = globals()[MEASURES[claim.measure]]
+        try:
+            own = narrow(table, claim)
+            found = measure(own, claim, choices)
+        except ValueError as error:
+            yield PaperAnswer(claim, NOT_ESTIMABLE, f"{str(error).rstrip('.')}.")
+            continue
+        without = None
+        # Without the exceptions that the paper names, where they were rated and enough is left.
+        if set(claim.exceptions) & set(own.rows["reducer"]):
+            with suppress(ValueError):
+                without = measure(leave_out(own, claim.exceptions), claim, choices)
+        verdict = judge(claim, found)
+        yield PaperAnswer(claim, verdict, _describe(claim, found, without), found, without)
+
+
+def narrow(table: Table, claim: PaperClaim) -> Table:
+    """Select the ratings that a claim is about: scale and level of its options, or the first scale, as it is."""
+    if claim.options.get("scale") == PAIRED:
+        levels = sorted(table.rows.loc[table.rows["scale"] == PAIRED, "level"].unique())
+        usual = USUAL_LEVEL if USUAL_LEVEL in levels else next(iter(levels), None)
+        return table.select(PAIRED, level=str(claim.options.get("level", usual)))
+    table = replace(table, rows=recast_pairs(table.rows))
+    arms = [(part.scale, part.level) for part in split_tests(table)]
+    if not arms:  # only pairs or choices were judged; a measure finds them in the whole table
+        return table
+    scale, level = (claim.options.get(name) for name in ("scale", "level"))
+    fitting = [one for one in arms if scale in {None, one[0]} and level in {None, one[1]}]
+    if not fitting:
+        given = {"scale": scale, "level": level}.items()
+        wanted = " and ".join(f"{key} {name!r}" for key, name in given if name is not None)
+        known = ", ".join(map(" ".join, arms))
+        raise ValueError(f"nothing was rated on {wanted}; there are {known}")
+    chosen = next((one for one in fitting if one[1] == USUAL_LEVEL), fitting[0])
+    return table.select(chosen[0], level=chosen[1])
+
+
+def leave_out(table: Table, reducers: Iterable[str]) -> Table:
+    """Leave out what was made with some reducers."""
+    names = list(reducers)
+    rows, stimuli = table.rows, table.stimuli
+    out = rows["reducer"].isin(names) | rows["reference_reducer"].isin(names)
+    kept = rows[~out].reset_index(drop=True)
+    if stimuli is not None:
+        stimuli = stimuli[~stimuli["reducer"].isin(names)]
+    return replace(table, rows=kept, stimuli=stimuli)
+
+
+def judge(claim: PaperClaim, found: ClaimValue) -> str:
+    """Compare what was found with what the paper says.
+
+    Of positive and negative, the whole interval must lie on one side of zero; of near, the value must lie within the
+    paper's range (low to high), and what differs excludes it; of highest and lowest, the differences from all others
+    must exclude zero. A number without an interval is taken as it is; a difference that is written as zero is none.
+    """
+    if not math.isfinite(found.value):
+        return NOT_ESTIMABLE
+    ends = _fill_ends((found.value, found.low, found.high))
+    if claim.expect == "near":
+        _, low, high = _fill_ends(claim.paper)
+        if low <= found.value <= high:
+            return AGREES
+        return DIFFERS if ends[2] < low or ends[1] > high else OPEN
+    ranked = claim.expect in {"highest", "lowest"}
+    gaps = [_fill_ends(one) for one in found.beside.values()] if ranked else [ends]
+    places = words.PLACES[found.kind]
+    gaps = [one if one[1] < one[2] else (round(one[0], places),) * 3 for one in gaps]
+    if claim.expect in {"negative", "lowest"}:
+        gaps = [(-value, -high, -low) for value, low, high in gaps]
+    if not gaps:
+        return NOT_ESTIMABLE
+    if any(high < 0 for _, _, high in gaps):
+        return DIFFERS
+    return AGREES if all(low > 0 for _, low, _ in gaps) else OPEN
+
+
+def _fill_ends(ends: Ends) -> Ends:
+    """Take a number without an interval as certain."""
+    value, low, high = ends
+    return ends if math.isfinite(low + high) else (value, value, value)
+
+
+def _describe(claim: PaperClaim, found: ClaimValue, without: ClaimValue | None) -> str:
+    """Say what was found, the paper's number beside it, and what it is without the exceptions."""
+    parts = [f"here {found.describe()}"]
+    value, low, high = claim.paper
+    if math.isfinite(value):
+        parts.append(f"the paper {words.format_number(value, kind=found.kind)}")
+    elif math.isfinite(low + high):
+        parts.append(f"the paper {words.format_interval(low, high, kind=found.kind)}")
+    upward = claim.expect == "highest"
+    if (upward or claim.expect == "lowest") and found.beside:
+        parts.append(describe_nearest(found.beside, upward=upward, kind=found.kind))
+    if without is not None:
+        parts.append(f"without {words.join_words(claim.exceptions)} {without.describe()}")
+    return "; ".join(parts) + "." + (f" {found.note}" if found.note else "")
+
+
+def describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> str:
+    """Name the unit that comes closest, or is beyond."""
+    sign = 1 if upward else -1
+    name, ends = min(beside.items(), key=lambda item: sign * item[1][0])
+    way = 1 if ends[0] >= 0 else -1
+    low, high = sorted(way * end for end in ends[1:])
+    value, interval = words.format_estimate(way * ends[0], low, high, kind=kind)
+    told = f" ({interval})" if interval != words.ABSENT else ""
+    other = f"that of {words.format_name(name)}"
+    if not told and value == words.format_number(0.0, kind=kind):
+        return f"the same as {other}"
+    return f"{value} {'higher' if way > 0 else 'lower'} than {other}{told}"
+
+
+# Measures.
+
+OVER_RECORDINGS = "95 % t interval over recordings"
+LIMIT = 0.05  # Where permutations cannot give a p below, nothing is estimated
 MEAN, SD = "_rotation_mean", "_rotation_sd"
 
 
@@ -147,10 +351,7 @@ def note_lacking(claim: PaperClaim, names: Iterable[object]) -> str:
 
 
 def measure_told_apart(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
-    """Take the reducer that is least clearly told from the original; option: reducer, for one alone.
-
-    That all are told apart is shown where this one is, so that no adjustment for their number is needed.
-    """
+    """Take the reducer least clearly told from the original: where it is, all are; option: reducer, for one."""
     found = compare_with_original(table.rows)
     single = found[found["reducer"] != EVERY].set_index("reducer")
     if reducer := claim.options.get("reducer"):
@@ -167,23 +368,18 @@ def measure_told_apart(table: Table, claim: PaperClaim, choices: Choices) -> Cla
 
 
 def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:
-    """Take R² of an attribute on the axes of the maps, above that of permuted stimuli; option: attribute.
-
-    The interval holds the middle 90 % of permutations: it excludes zero where p (one-sided) is below 0.05.
-    """
-    attribute = str(claim.options.get("attribute", maps.DIRECTIONS))
+    """Take R² of an attribute on the axes of the maps, above that of permuted stimuli; option: attribute."""
+    attribute = str(claim.options.get("attribute", space.DIRECTIONS))
     rows = table.rows[table.rows["scale"] == PAIRED]
     if rows.empty:
         raise ValueError(f'no dissimilarity was rated; name options.scale = "{PAIRED}"')
     rng = choices.make_rng("lee", claim.name)
-    whole = maps.map_all(rows, rng=rng)
-    points = maps.gather_points(rows, table.stimuli, whole, rng=rng)
-    check_name(attribute, sorted(points.attributes), "attribute")
-    draws = min(choices.draws, 1000)
-    (row,) = maps.regress_points(points.select(attribute), draws=draws, rng=rng)
+    places, found = space.gather_points(rows, table.stimuli, rng=rng)
+    own = {attribute: found[check_name(attribute, sorted(found), "attribute")]}
+    (row,) = space.regress_points(places, own, draws=min(choices.draws, 1000), rng=rng)
     if row["p_least"] >= LIMIT:
         raise ValueError(
-            f"permutations of {len(points.stimuli)} stimuli give no p below {row['p_least']:.2f} for {attribute}"
+            f"permutations of {places.shape[1]} stimuli give no p below {row['p_least']:.2f} for {attribute}"
         )
     return ClaimValue(
         row["r2"] - row["chance"], row["r2"] - row["chance_high"], row["r2"] - row["chance_low"], "correlation",

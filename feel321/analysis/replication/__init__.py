@@ -1,1 +1,0 @@
-"""Papers replicated: their claims as records, each examined with a registered measure, and a verdict on each."""
