@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.primary import rcode
+from feel321.analysis.primary.model import Primary, fit_primary
+from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, WHO
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.report.section import make_slug, thin_parts
 from feel321.analysis.resampling import Choices
@@ -30,9 +32,9 @@ FIRST = "# Primary models of feel321 in R: run in this folder, Rscript model.R; 
 def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
     """Write the judgements to a folder, and, per scale and level, the primary model's data, slopes and code for lme4.
 
-    ``judgements.csv``; ``SCALE_LEVEL/model.csv``, ``model.R`` (`Primary.to_r`) and ``slopes.csv``, what feel321
-    estimates; ``model.R`` runs them all. folder: a new or empty one, or that of an earlier export, which is replaced.
-    rng: seed of the report; it decides which ratings are kept where there are too many for one fit.
+    ``judgements.csv``; ``SCALE_LEVEL/model.csv``, ``model.R`` and ``slopes.csv``, what feel321 estimates; ``model.R``
+    runs them all. folder: a new or empty one, or that of an earlier export, which is replaced. rng: seed of the report;
+    it decides which ratings are kept where there are too many for one fit.
     """
     if not isinstance(table, Table):
         raise TypeError(f"table must be a Table, as read_table returns it, got {describe(table)}")
@@ -56,9 +58,7 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
         except ValueError as error:
             text.append(f"# {part.lead}: no model. {error}")
             continue
-        model.to_r(place / own)
-        slopes = write_flags(model.slopes.reset_index()).to_csv(index=False, na_rep=MISSING)
-        write_text(place / own / SLOPES, slopes)
+        _write_model(model, place / own)
         text.append(f'source("{own}/{SCRIPT}", chdir = TRUE)')
     frames = {JUDGEMENTS: table.rows}
     frames[DICTIONARY] = make_dictionary(frames, table.info)
@@ -66,3 +66,23 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
         write_text(place / name, write_flags(frame).to_csv(index=False, na_rep=MISSING))
     write_text(script, "\n".join([*text, ""]))
     return place
+
+
+def _write_model(model: Primary, place: Path) -> None:
+    """Write the data of a primary model, its slopes, and R code that fits the same model with lme4 and lmerTest."""
+    groups = [name for name in (WHO, SCENE, ITEM, REDUCER, SOURCE) if name in model.model_frame]
+    lines = [
+        "library(lmerTest)",
+        'model <- read.csv("model.csv", check.names = FALSE)',
+        *(f"model${name} <- factor(model${name})" for name in groups),
+        *([rcode.PENALISED.rstrip()] if model.penalty else []),
+        f"# feel321 believes at most {model.fit.uncertainty.most_df:g} degrees of freedom.",
+        f"fit <- {rcode.write_fit(model.formula, 'model', penalty=model.penalty)}",
+        "print(summary(fit))",
+        "",
+    ]
+    make_folder(place)
+    write_text(place / SCRIPT, "\n".join(lines))
+    frames = {"model.csv": model.model_frame, SLOPES: model.slopes.reset_index()}
+    for name, frame in frames.items():
+        write_text(place / name, write_flags(frame).to_csv(index=False, na_rep=MISSING))

@@ -128,5 +128,5 @@ def test_only_an_earlier_export_is_replaced(table: analysis.Table, tmp_path: Pat
     assert [path.read_text() for path in other.iterdir()] == ["mine"]
 
 
-def test_text_is_such_as_r_takes() -> None:
+def test_text_is_quoted_as_r_takes_it() -> None:
     assert write_r_string('r\u00e9alisme "1"') == '"r\\u00e9alisme \\"1\\""'

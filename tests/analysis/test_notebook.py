@@ -154,7 +154,7 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
     slopes = models["realism"].slopes
     dots, bars = read_forest(axes[2])
     assert dots == list(slopes["tenth"])  # as the axis says: per +0.1
-    assert bars == slopes[["tenth_low", "tenth_high"]].to_numpy().tolist()
+    np.testing.assert_allclose(bars, slopes[["tenth_low", "tenth_high"]])
     scene = stimuli.make_scene("hard_taps", duration_s=0.5)
     for axis, name in zip(axes[3:], ("recording", "spectrum"), strict=False):
         assert getattr(analysis, f"plot_{name}")(scene, ax=axis) is axis

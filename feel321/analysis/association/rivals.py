@@ -130,8 +130,8 @@ def rank_metrics(
     check_name(method, METHODS, "method")
     own = ratings.rivals if isinstance(ratings, Table) and metrics is None else ()
     given = choose_metrics(ratings, metrics or own or None)
-    items = make_items(ratings, given)
-    info = info or (ratings.info if isinstance(ratings, Table) else {})
+    declared = ratings.info if isinstance(ratings, Table) else {}
+    items, info = make_items(ratings, given), info or declared
     signs = np.array([find_sign(info, name) for name in given])
     items = replace(items, metrics=items.metrics * signs[:, None])
     names, items = _leave_flat(given, items, ranked=method == "spearman")

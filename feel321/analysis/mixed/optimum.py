@@ -135,12 +135,15 @@ class Spread:
         self.rows, self.columns, self.places = map(np.concatenate, zip(*parts, strict=True))
         self.size, self.straight = self.n_effects + extra, bool((self.rows == self.columns).all())
 
+    def _find_scales(self, theta: Samples) -> Samples:
+        scales = np.ones(self.size)
+        scales[self.rows] = theta[self.places]
+        return scales
+
     def times(self, matrix: Samples, theta: Samples, *, turned: bool = False) -> Samples:
         """Multiply matrices, (..., size), by L; turned: by L'."""
         if self.straight:
-            scales = np.ones(self.size)
-            scales[self.rows] = theta[self.places]
-            return matrix * scales
+            return matrix * self._find_scales(theta)
         lower = np.eye(self.size)
         lower[self.rows, self.columns] = theta[self.places]
         found: Samples = matrix @ (lower.T if turned else lower)
@@ -148,6 +151,9 @@ class Spread:
 
     def around(self, matrix: Samples, theta: Samples, *, turned: bool = False) -> Samples:
         """Compute L' M L of symmetric matrices, (..., size, size); turned: L M L'."""
+        if self.straight:
+            scales = self._find_scales(theta)
+            return matrix * (scales[:, None] * scales)
         half = self.times(matrix, theta, turned=turned)
         return self.times(half.swapaxes(-1, -2), theta, turned=turned)
 
