@@ -162,7 +162,7 @@ def test_no_table_and_doubled_columns_are_refused(rated: pd.DataFrame) -> None:
     no_table: Any = {"rating": [1.0]}
     with pytest.raises(
         TypeError,
-        match="ratings must be a Table or a pandas DataFrame, one row per judgement, got dict",
+        match="ratings must be a Table or a DataFrame, one row per judgement, got dict",
     ):
         open_ratings(no_table)
     with pytest.raises(
