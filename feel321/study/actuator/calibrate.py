@@ -1,26 +1,27 @@
 """Calibration of a rig: sweeps on each coil, through the output that sessions use, recorded by its sensor.
 
-Each coil begins with a quiet sweep. What it makes of that decides how strong the next ones may be, so that neither the
-rig's limits nor the sensor's full scale is passed; the strongest one is the measurement. What was measured is stored
+What a quiet sweep shows decides how strong the next ones may be; the strongest one is the measurement. It is stored
 coil by coil; from it the filters are designed, as often as one likes, and verified by playing through them.
 """
 
 import hashlib
 import io
 import math
+import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import cast
+from typing import Any
 
 import numpy as np
 from scipy import fft
 
 from feel321.files import make_folder, write_bytes
+from feel321.study.actuator import response
 from feel321.study.actuator.certificate import (
-    DAMAGED,
     FOLDER,
     MEASURED,
     Certificate,
@@ -30,23 +31,6 @@ from feel321.study.actuator.certificate import (
 )
 from feel321.study.actuator.output import Bench, OnStep, open_bench
 from feel321.study.actuator.render import find_directions
-from feel321.study.actuator.response import (
-    ABOVE,
-    ALIVE,
-    BELOW,
-    DB,
-    Band,
-    Phase,
-    Response,
-    Sweep,
-    average_thirds,
-    find_inside,
-    find_ramp,
-    find_slip,
-    make_inverse,
-    make_sweep,
-    measure_sweep,
-)
 from feel321.study.actuator.rig import ActuatorTable, Rig, digest, require_sensor
 from feel321.types import Samples
 
@@ -60,18 +44,17 @@ STEP_HZ = 0.5  # of the frequencies in a certificate
 MOST_GAIN_DB = 50.0  # of a filter that is proposed; beyond, the band is narrowed
 LEAST_BAND = 0.8  # of the octaves that were asked, for a coil to pass
 SPARE_DB = 1.0  # by which a proposed gain exceeds what the response asks for
-KEPT = timedelta(
-    days=1
-)  # for so long the coils of a calibration that was broken off need not be measured again
+DAMAGED = (zipfile.BadZipFile, zlib.error)
+KEPT = timedelta(days=1)  # for so long a coil need not be measured again
+Coils = Mapping[str, CoilCertificate]
 
 
-# What is played.
-
-
-def make_main(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
-    """Make the sweep that is the measurement."""
+def make_sweeps(
+    rig: Rig, *, rate_hz: float, peak: float = 1.0
+) -> tuple[response.Sweep, response.Sweep]:
+    """Make the sweep that is the measurement, and the shorter one before it."""
     settings = rig.calibration
-    return Sweep(
+    main = response.Sweep(
         rate_hz=rate_hz,
         band_hz=settings.band_hz,
         duration_s=min(settings.sweep_s, MARGIN * rig.limits.duration_s),
@@ -79,12 +62,7 @@ def make_main(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
         n_repeats=settings.repeats,
         peak=peak,
     )
-
-
-def make_quiet(rig: Rig, *, rate_hz: float, peak: float = 1.0) -> Sweep:
-    """Make the sweeps before it, which are shorter."""
-    main = make_main(rig, rate_hz=rate_hz, peak=peak)
-    return replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
+    return main, replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
 
 
 def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
@@ -93,163 +71,184 @@ def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
     return min(1.0, MARGIN * limits / actuator.full_scale_m_s2)
 
 
-def find_safe(rig: Rig, probe: Response) -> float:
+def find_safe(rig: Rig, probe: response.Response) -> float:
     """Find the peak of a sweep, as a part of full scale, whose motion is within the limits and the sensor's scale."""
-    # Ramps are part of a sweep, and a resonance may lie in one.
-    ramp = find_ramp(probe.frequency_hz, band_hz=probe.band_hz)
-    strongest = float((np.abs(probe.response) * ramp).max())
+    # A resonance may lie where the sweep rises to its peak, or falls.
+    log_hz = np.log(np.maximum(probe.frequency_hz, response.TINY))
+    rise = np.clip(
+        (log_hz - math.log(probe.band_hz[0] / response.BELOW)) / math.log(response.BELOW), 0, 1
+    )
+    fall = np.clip(
+        (math.log(probe.band_hz[1] * response.ABOVE) - log_hz) / math.log(response.ABOVE), 0, 1
+    )
+    ramp = np.sin(math.pi / 2 * rise) ** 2 * np.sin(math.pi / 2 * fall) ** 2
     limits = [rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2]
-    if rig.sensor is not None:
-        limits.append(rig.sensor.full_scale_m_s2)
-    return MARGIN * min(limits) / strongest
-
-
-# One coil: measured, its filter designed, and verified.
+    allowed = min(*limits, require_sensor(rig).full_scale_m_s2)
+    return MARGIN * allowed / float((np.abs(probe.response) * ramp).max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CoilRun:
-    """What was measured of one coil: its response, its gain by level, and how well equal ones agree.
+class CoilRun(response.Response):
+    """What was measured of one coil; repeats_db: between equal sweeps; noise_m_s2: RMS while nothing plays."""
 
-    repeats_db: between equal sweeps; noise_m_s2: RMS while nothing plays.
-    """
-
-    main: Response
     levels: Samples
     linearity_db: Samples
     repeats_db: float
     noise_m_s2: float
+    made: str
 
 
-def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float) -> CoilRun:
+def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, made: str) -> CoilRun:
     """Play sweeps of rising level on one coil."""
-    rig, rate_hz, channel = bench.rig, bench.rate_hz, actuator.channel
+    rig, rate_hz = bench.rig, bench.rate_hz
     level = rig.calibration.level * find_allowed(rig, actuator)
 
-    def sweep(one: Sweep) -> tuple[Response, Samples]:
-        recorded = bench.play_sweep(make_sweep(one), one, channel)
-        return measure_sweep(one, recorded), recorded
+    def sweep(one: response.Sweep) -> tuple[response.Response, Samples]:
+        recorded = bench.play_sweep(response.make_sweep(one), one, actuator.channel)
+        return response.measure_sweep(one, recorded), recorded
 
-    probe, _ = sweep(make_quiet(rig, rate_hz=rate_hz, peak=PROBE * level))
-    _check_alive(probe, pause_s=rig.calibration.pause_s)
+    probe, _ = sweep(make_sweeps(rig, rate_hz=rate_hz, peak=PROBE * level)[1])
+    _check_alive(rig, probe)
     top = min(level, find_safe(rig, probe))
     levels = [share * top for share in LADDER]
-    ladder = [sweep(make_quiet(rig, rate_hz=rate_hz, peak=peak))[0] for peak in levels]
-    loud = make_main(rig, rate_hz=rate_hz, peak=top)
+    ladder = [sweep(make_sweeps(rig, rate_hz=rate_hz, peak=one)[1])[0] for one in levels]
+    loud, _ = make_sweeps(rig, rate_hz=rate_hz, peak=top)
     main, recorded = sweep(loud)
+    inside = response.find_inside(probe.frequency_hz, band_hz=loud.band_hz)
+    in_band_hz = probe.frequency_hz[inside]
+
+    def compare_db(one: response.Response) -> float:
+        """Compare a response with that of the quietest step, by third octaves."""
+        size = np.interp(in_band_hz, one.frequency_hz, np.abs(one.response))
+        ratio_db = response.DB * np.log(size / np.abs(ladder[0].response[inside]))
+        return float(np.median(response.average_thirds(ratio_db, in_band_hz, band_hz=loud.band_hz)))
+
     along = (main.direction @ recorded).reshape(loud.n_repeats, loud.period)
     energy = np.abs(fft.rfft(along)) ** 2
     at_hz = fft.rfftfreq(loud.period, 1 / rate_hz)
-    repeated_db = 10 * np.log10(average_thirds(energy, at_hz, band_hz=loud.band_hz))
-    kept = main.frequency_hz <= ABOVE * loud.band_hz[1]
+    repeated_db = 10 * np.log10(response.average_thirds(energy, at_hz, band_hz=loud.band_hz))
+    kept = main.frequency_hz <= response.ABOVE * loud.band_hz[1]
     names = ("frequency_hz", "response", "coherence", "distortion")
     return CoilRun(
-        main=replace(main, **{name: getattr(main, name)[kept] for name in names}),
+        **asdict(main) | {name: getattr(main, name)[kept] for name in names},
         levels=np.array([*levels, top]),
-        linearity_db=np.array([np.median(_compare_db(one, ladder[0])) for one in (*ladder, main)]),
+        linearity_db=np.array([compare_db(one) for one in (*ladder, main)]),
         repeats_db=float(np.median(repeated_db.std(axis=0, ddof=1))),
         noise_m_s2=noise_m_s2,
+        made=made,
     )
 
 
-def propose_band(rig: Rig, response: Response) -> tuple[Band, float]:
-    """Propose the band of a coil and the gain of its filter in dB: the asked band, if the coil and its noise allow it.
+def _check_alive(rig: Rig, probe: response.Response) -> None:
+    inside = response.find_inside(probe.frequency_hz, band_hz=probe.band_hz)
+    coherence, latency_s = float(np.median(probe.coherence[inside])), probe.latency / probe.rate_hz
+    if coherence < response.ALIVE:
+        raise ValueError(
+            f"got no motion that follows the sweep (median coherence {coherence:.2f}), expected more; "
+            "check coil, cable, amplifier, its channel in rig.toml, and the sensor"
+        )
+    if not 0 <= latency_s < rig.calibration.pause_s:
+        raise ValueError(
+            f"pause_s under [calibration] must exceed the latency of {1e3 * latency_s:.0f} ms, got "
+            f"{rig.calibration.pause_s:g}; raise it"
+        )
 
-    A gain that rig.toml gives is kept, and the band with it.
-    """
+
+def propose_band(rig: Rig, seen: response.Response) -> tuple[response.Band, float]:
+    """Propose the band of a coil and the gain of its filter in dB: as in rig.toml, or what coil and noise allow."""
     own = rig.calibration
     if own.max_gain_db is not None:
         return own.band_hz, own.max_gain_db
-    inside = find_inside(response.frequency_hz, band_hz=own.band_hz)
-    size = np.abs(response.response)
+    inside = response.find_inside(seen.frequency_hz, band_hz=own.band_hz)
+    size = np.abs(seen.response)
     middle = float(np.median(size[inside]))
-    is_good = inside & (response.coherence >= own.min_coherence)
-    is_good &= DB * np.log(middle / np.maximum(size, 1e-12)) <= MOST_GAIN_DB - SPARE_DB
+    is_good = inside & (seen.coherence >= own.min_coherence)
+    is_good &= response.DB * np.log(middle / np.maximum(size, 1e-12)) <= MOST_GAIN_DB - SPARE_DB
     if not is_good.any():
         return own.band_hz, MOST_GAIN_DB
     # The longest stretch without a frequency that would need too much, or that noise hides.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], is_good, [False]])))
-    ends_hz = response.frequency_hz[edges.reshape(-1, 2) - [0, 1]]
+    ends_hz = seen.frequency_hz[edges.reshape(-1, 2) - [0, 1]]
     low, high = max(ends_hz, key=lambda one: float(one[1] / one[0]))
-    first, last = response.frequency_hz[inside][[0, -1]]
-    band_hz = (
-        own.band_hz[0] if low == first else float(low),
-        own.band_hz[1] if high == last else float(high),
-    )
-    inside = find_inside(response.frequency_hz, band_hz=band_hz)
-    needed_db = DB * math.log(float(np.median(size[inside]) / size[inside].min()))
-    return band_hz, min(needed_db + SPARE_DB, MOST_GAIN_DB)
+    first, last = seen.frequency_hz[inside][[0, -1]]
+    low = own.band_hz[0] if low == first else float(low)
+    high = own.band_hz[1] if high == last else float(high)
+    inside = response.find_inside(seen.frequency_hz, band_hz=(low, high))
+    needed_db = response.DB * math.log(float(np.median(size[inside]) / size[inside].min()))
+    return (low, high), min(needed_db + SPARE_DB, MOST_GAIN_DB)
 
 
 def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertificate:
     """Make the filter of a coil, and what its certificate says of it: by calculation, until it is verified."""
-    main, settings = run.main, rig.calibration
-    band_hz, gain_db = propose_band(rig, main)
-    inverse = make_inverse(
-        main,
+    settings = rig.calibration
+    band_hz, gain_db = propose_band(rig, run)
+    inverse = response.make_inverse(
+        run,
         band_hz=band_hz,
         max_gain_db=gain_db,
-        n_taps=round(TAPS_PERIODS / band_hz[0] * main.rate_hz),
-        phase=cast("Phase", settings.phase),
+        n_taps=round(TAPS_PERIODS / band_hz[0] * run.rate_hz),
         min_coherence=settings.min_coherence,
     )
-    inside = find_inside(main.frequency_hz, band_hz=band_hz)
-    size, distortion = np.abs(main.response[inside]), main.distortion[inside]
+    inside = response.find_inside(run.frequency_hz, band_hz=band_hz)
+    size, distortion = np.abs(run.response[inside]), run.distortion[inside]
     full_scale_m_s2 = float(np.median(size))
-    before_db = main.find_deviation_db(target=full_scale_m_s2, band_hz=band_hz)
+    before_db = run.find_deviation_db(target=full_scale_m_s2, band_hz=band_hz)
     # Harmonics over the band, relative to the sum of the fundamentals; both as energies.
     known = np.isfinite(distortion)
     harmonics = float(np.linalg.norm((size * distortion)[known]) / np.linalg.norm(size[known]))
     # A sensor with one axis does not see the direction, but its sign.
     typed = find_directions(rig)[0].get(actuator.name, np.eye(3)[0])
-    is_seen = len(main.direction) == len(typed)
+    is_seen = len(run.direction) == len(typed)
     low, high = settings.band_hz
-    grid_hz = np.arange(low / BELOW, high * ABOVE, STEP_HZ, dtype=np.float64)
+    grid_hz = np.arange(low / response.BELOW, high * response.ABOVE, STEP_HZ, dtype=np.float64)
+    on_grid = {
+        name: np.interp(grid_hz, run.frequency_hz, getattr(run, name))
+        for name in ("response", "coherence", "distortion")
+    }
     coil = CoilCertificate(
         name=actuator.name,
         channel=actuator.channel,
         band_hz=band_hz,
         full_scale_m_s2=full_scale_m_s2,
-        target=inverse.target,
-        latency=main.latency,
-        delay=inverse.delay,
-        gain_db=inverse.gain_db,
+        latency=run.latency,
         before_db=float(np.abs(before_db).max()),
-        least_coherence=float(main.coherence[inside].min()),
-        crossed_db=main.cross_talk_db,
+        least_coherence=float(run.coherence[inside].min()),
+        crossed_db=run.cross_talk_db,
         noise_m_s2=run.noise_m_s2,
         total_distortion=harmonics,
-        direction=main.direction if is_seen else np.sign(main.direction[0]) * typed,
+        direction=run.direction if is_seen else np.sign(run.direction[0]) * typed,
         frequency_hz=grid_hz,
-        response=np.interp(grid_hz, main.frequency_hz, main.response),
-        coherence=np.interp(grid_hz, main.frequency_hz, main.coherence),
-        distortion=np.interp(grid_hz, main.frequency_hz, main.distortion),
         equalised=np.full(len(grid_hz), np.nan, dtype=np.complex128),
-        fir=inverse.fir,
         levels=run.levels,
         linearity_db=run.linearity_db,
+        **on_grid,
+        **asdict(inverse),
     )
-    flat = main.response * coil.find_filter(main.frequency_hz, rate_hz=main.rate_hz)
-    return judge_filter(rig, coil, run=run, after=replace(main, response=flat))
+    flat = run.response * coil.find_filter(run.frequency_hz, rate_hz=run.rate_hz)
+    return judge_filter(rig, coil, run=run, after=replace(run, response=flat))
 
 
 def judge_filter(
-    rig: Rig, coil: CoilCertificate, *, run: CoilRun, after: Response, is_measured: bool = False
+    rig: Rig,
+    coil: CoilCertificate,
+    *,
+    run: CoilRun,
+    after: response.Response,
+    is_measured: bool = False,
 ) -> CoilCertificate:
     """Compare the response with a filter, measured or calculated, with its target; and add up the uncertainties."""
     off_db = after.find_deviation_db(target=coil.target, band_hz=coil.band_hz)
-    inside = find_inside(after.frequency_hz, band_hz=coil.band_hz)
+    inside = response.find_inside(after.frequency_hz, band_hz=coil.band_hz)
     worst, settings = int(np.argmax(np.abs(off_db))), rig.calibration
-    coherence = np.clip(
-        run.main.coherence[find_inside(run.main.frequency_hz, band_hz=coil.band_hz)], 1e-6, 1
-    )
+    own = run.coherence[response.find_inside(run.frequency_hz, band_hz=coil.band_hz)]
+    coherence = np.clip(own, 1e-6, 1)
     # Bendat and Piersol (2010), table 9.6: the random error of |H| from n segments.
     random = np.sqrt((1 - coherence) / (2 * settings.repeats * coherence))
     # Standard uncertainties of the level in dB; bounds count as rectangular (GUM 4.3.7).
     budget = {
         "sensor, as typed": settings.sensor_uncertainty_db,
         "repeatability": run.repeats_db,
-        "noise": DB * float(np.median(random)),
+        "noise": response.DB * float(np.median(random)),
         "linearity": float(np.abs(run.linearity_db).max()) / math.sqrt(3),
         "left after the filter": float(np.sqrt(np.mean(off_db**2))),
     }
@@ -267,153 +266,86 @@ def judge_filter(
 def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertificate:
     """Play a sweep through the filter of a coil, as loud as its own, and compare the motion with the target."""
     rig, top = bench.rig, float(run.levels[-1])
-    sweep = make_main(rig, rate_hz=bench.rate_hz, peak=top)
-    asked = make_sweep(sweep)
+    sweep, _ = make_sweeps(rig, rate_hz=bench.rate_hz, peak=top)
+    asked = response.make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
     scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
     recorded = bench.play_sweep(scale * filtered, sweep, coil.channel)
-    after = measure_sweep(sweep, recorded, sent=scale * asked)
+    after = response.measure_sweep(sweep, recorded, sent=scale * asked)
     return judge_filter(rig, coil, run=run, after=after, is_measured=True)
 
 
-def measure_latencies(
-    bench: Bench, coils: Mapping[str, CoilCertificate]
-) -> dict[str, CoilCertificate]:
-    """Measure the latencies of all coils in one recording, one coil after another, in samples.
-
-    A device that ran dry goes on with another latency, so those of different recordings cannot be compared.
-    """
-    quiet = make_quiet(bench.rig, rate_hz=bench.rate_hz)
-    turn, n = quiet.period, quiet.period * quiet.n_repeats * len(coils)
-    once = make_sweep(quiet)[:turn]
-    places = {
-        name: [turn * (number + k * len(coils)) for k in range(quiet.n_repeats)]
-        for number, name in enumerate(coils)
-    }
+def measure_latencies(bench: Bench, coils: Coils) -> dict[str, CoilCertificate]:
+    """Measure the latencies of all coils in one recording: a device that ran dry goes on with another latency."""
+    _, quiet = make_sweeps(bench.rig, rate_hz=bench.rate_hz)
+    turn, n_coils, once = quiet.period, len(coils), response.make_sweep(quiet)[: quiet.period]
+    n = turn * quiet.n_repeats * n_coils
     sounds = {coil.channel: np.zeros(n) for coil in coils.values()}
-    for name, coil in coils.items():
-        for place in places[name]:
-            sounds[coil.channel][place : place + turn] = float(coil.levels[1]) * once
+    for number, coil in enumerate(coils.values()):  # one coil after another, again and again
+        sounds[coil.channel].reshape(-1, n_coils, turn)[:, number] = float(coil.levels[1]) * once
 
-    def cut(recorded: Samples, name: str) -> Samples:
-        return np.concatenate([recorded[:, k : k + turn] for k in places[name]], axis=1)
+    def cut(recorded: Samples, number: int) -> Samples:
+        turns = recorded.reshape(len(recorded), -1, n_coils, turn)
+        return turns[:, :, number].reshape(len(recorded), -1)
 
     recorded = bench.insist(
         lambda: bench.play(sounds, n=n),
-        lambda found: max(find_slip(cut(found, name), quiet) for name in coils),
+        lambda found: max(
+            response.find_slip(cut(found, number), quiet) for number in range(n_coils)
+        ),
     )
-
-    def find_latency(name: str, coil: CoilCertificate) -> int:
+    found = {}
+    for number, (name, coil) in enumerate(coils.items()):
         sweep = replace(quiet, peak=float(coil.levels[1]))
-        return measure_sweep(sweep, cut(recorded, name)).latency
-
-    return {name: replace(coil, latency=find_latency(name, coil)) for name, coil in coils.items()}
-
-
-# What is wrong with a recording, and with a coil.
-
-
-def _check_alive(probe: Response, *, pause_s: float) -> None:
-    inside = find_inside(probe.frequency_hz, band_hz=probe.band_hz)
-    coherence = float(np.median(probe.coherence[inside]))
-    if coherence < ALIVE:
-        raise ValueError(
-            f"got no motion that follows the sweep (median coherence {coherence:.2f}), expected {ALIVE:g} or more; "
-            "check coil, cable, amplifier, its channel in rig.toml, and the sensor"
-        )
-    if not 0 <= probe.latency / probe.rate_hz < pause_s:
-        raise ValueError(
-            f"pause_s under [calibration] must exceed the latency of {1e3 * probe.latency / probe.rate_hz:.0f} ms, got "
-            f"{pause_s:g}; raise it"
-        )
+        latency = response.measure_sweep(sweep, cut(recorded, number)).latency
+        found[name] = replace(coil, latency=latency)
+    return found
 
 
 def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
     """Find the limits of `[calibration]` that a coil does not keep."""
-    own = rig.calibration
+    own, (low, high) = rig.calibration, coil.band_hz
     worst = max(coil.budget, key=coil.budget.__getitem__)
     typed = next(one.direction for one in rig.actuators if one.name == coil.name)
     cosine = float(coil.direction @ np.array(typed) / np.linalg.norm(typed)) if typed else 1.0
     turned_deg = math.degrees(math.acos(min(max(cosine, -1.0), 1.0)))
-    for is_broken, told in (
-        (
-            coil.largest_db > own.max_deviation_db,
-            f"is {coil.largest_db:.1f} dB off at {coil.worst_hz:.0f} Hz with its filter, the limit is "
-            f"{own.max_deviation_db:g}; narrow band_hz or raise max_gain_db under [calibration]",
+    octaves, asked = math.log(high / low), math.log(own.band_hz[1] / own.band_hz[0])
+    broken = {
+        f"is {coil.largest_db:.1f} dB off at {coil.worst_hz:.0f} Hz with its filter, the limit is "
+        f"{own.max_deviation_db:g}; narrow band_hz or raise max_gain_db under [calibration]": (
+            coil.largest_db > own.max_deviation_db
         ),
-        (
-            coil.uncertainty_db > own.max_uncertainty_db,
-            f"is known to {coil.uncertainty_db:.2f} dB, the limit is {own.max_uncertainty_db:g}; its largest term is "
-            f"{worst} ({coil.budget[worst]:.2f} dB)",
-        ),
-        (
-            coil.total_distortion > own.max_distortion,
-            f"distorts by {coil.total_distortion:.0%}, the limit is {own.max_distortion:.0%}; lower level under "
-            "[calibration], and the stimuli with it",
-        ),
-        (
-            coil.least_coherence < own.min_coherence,
-            f"has a coherence of {coil.least_coherence:.2f} at worst, the minimum is {own.min_coherence:g}; raise "
-            "level, or narrow band_hz under [calibration]",
-        ),
-        (
-            math.log(coil.band_hz[1] / coil.band_hz[0])
-            < LEAST_BAND * math.log(own.band_hz[1] / own.band_hz[0]),
-            f"is flat from {coil.band_hz[0]:.0f} to {coil.band_hz[1]:.0f} Hz only, asked was {own.band_hz[0]:g} to "
-            f"{own.band_hz[1]:g}; raise level, or narrow band_hz under [calibration]",
-        ),
-        (
-            turned_deg > MOST_TURNED_DEG,
-            f"moves {turned_deg:.0f}° from the direction in rig.toml; check its channel and polarity, or write "
-            f"direction = {np.round(coil.direction, 2).tolist()}",
-        ),
-    ):
-        if is_broken:
-            yield f"coil {coil.name!r} {told}"
-
-
-def _compare_db(one: Response, other: Response) -> Samples:
-    """Compare the sizes of two responses: one over the other, in dB, in the third octaves of the band."""
-    inside = find_inside(other.frequency_hz, band_hz=other.band_hz)
-    at_hz = other.frequency_hz[inside]
-    size = np.interp(at_hz, one.frequency_hz, np.abs(one.response))
-    ratio_db = DB * np.log(size / np.abs(other.response[inside]))
-    return average_thirds(ratio_db, at_hz, band_hz=other.band_hz)
-
-
-# What was measured is stored, coil by coil, so that it need not be measured again.
-
-
-def write_run(run: CoilRun, path: Path, *, made: datetime) -> None:
-    """Store what was measured of a coil."""
-    make_folder(path.parent)
-    main = {f"main.{one.name}": getattr(run.main, one.name) for one in fields(Response)}
-    own = {one.name: getattr(run, one.name) for one in fields(CoilRun) if one.name != "main"}
-    buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **main, **own, made=made.isoformat())
-    write_bytes(path, buffer.getvalue())
-
-
-def read_run(path: Path) -> tuple[CoilRun | None, datetime]:
-    """Read what was measured of a coil, and when; None where nothing there can be used."""
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            known = {name: stored[name] for name in stored.files}
-        made = datetime.fromisoformat(str(known.pop("made")))
-        flat = {name: one if one.ndim else one.item() for name, one in known.items()}
-        main = {name[5:]: flat.pop(name) for name in list(flat) if name.startswith("main.")}
-        main["band_hz"] = tuple(main["band_hz"])
-        return CoilRun(main=Response(**main), **flat), made
-    except (OSError, TypeError, AttributeError, *DAMAGED):
-        return None, datetime.min
+        f"is known to {coil.uncertainty_db:.2f} dB, the limit is {own.max_uncertainty_db:g}; its largest term is "
+        f"{worst} ({coil.budget[worst]:.2f} dB)": coil.uncertainty_db > own.max_uncertainty_db,
+        f"distorts by {coil.total_distortion:.0%}, the limit is {own.max_distortion:.0%}; lower level under "
+        "[calibration], and the stimuli with it": coil.total_distortion > own.max_distortion,
+        f"has a coherence of {coil.least_coherence:.2f} at worst, the minimum is {own.min_coherence:g}; raise level, "
+        "or narrow band_hz under [calibration]": coil.least_coherence < own.min_coherence,
+        f"is flat from {low:.0f} to {high:.0f} Hz only, asked was {own.band_hz[0]:g} to {own.band_hz[1]:g}; raise "
+        "level, or narrow band_hz under [calibration]": octaves < LEAST_BAND * asked,
+        f"moves {turned_deg:.0f}° from the direction in rig.toml; check its channel and polarity, or write "
+        f"direction = {np.round(coil.direction, 2).tolist()}": turned_deg > MOST_TURNED_DEG,
+    }
+    yield from (f"coil {coil.name!r} {told}" for told, is_broken in broken.items() if is_broken)
 
 
 def name_run(folder: Path, rig: Rig, actuator: ActuatorTable) -> Path:
-    """Name the file of a coil's measurements: another rig has others."""
+    """Name the file of a coil's measurements: another rig, or another scale of the sensor, has others."""
     scale = rig.sensor.model_dump_json() if rig.sensor else ""
     sensor = hashlib.sha256(scale.encode()).hexdigest()
-    name = f"{digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"  # it scales what was measured
-    return folder / FOLDER / "sweeps" / name
+    return folder / FOLDER / "sweeps" / f"{digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"
+
+
+def read_run(path: Path) -> CoilRun | None:
+    """Read what was measured of a coil; None where nothing there can be used."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            known = {name: stored[name] for name in stored.files}
+        flat = {name: one if one.ndim else one.item() for name, one in known.items()}
+        datetime.fromisoformat(flat["made"])
+        return CoilRun(**flat | {"band_hz": tuple(flat["band_hz"])})
+    except (OSError, TypeError, EOFError, KeyError, RuntimeError, ValueError, *DAMAGED):
+        return None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -431,11 +363,11 @@ class Calibration:
         """Measure the coils, make their filters, and verify them by playing through them."""
         rig, rate_hz = self.rig, self.rate_hz
         require_sensor(rig)
-        main, quiet = make_main(rig, rate_hz=rate_hz), make_quiet(rig, rate_hz=rate_hz)
+        main, quiet = make_sweeps(rig, rate_hz=rate_hz)
         n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
-        n_coils = len(rig.actuators)
+        n_coils, n_silent = len(rig.actuators), round(SILENCE_S * rate_hz)
         runs = self.find_runs(within=KEPT)
-        n_all = n_coils * (n_main + n_quiet) + round(SILENCE_S * rate_hz)
+        n_all = n_coils * (n_main + n_quiet) + n_silent
         n_all += (n_coils - len(runs)) * (n_main + (1 + len(LADDER)) * n_quiet)
         opened = open_bench(
             rig,
@@ -445,13 +377,16 @@ class Calibration:
             on_step=self.on_step,
         )
         with opened as bench:
-            noise_m_s2 = float(
-                np.linalg.norm(bench.play({}, n=round(SILENCE_S * rate_hz)).std(axis=1))
-            )
+            noise_m_s2 = float(np.linalg.norm(bench.play({}, n=n_silent).std(axis=1)))
             for actuator in (one for one in rig.actuators if one.name not in runs):
                 with _named(actuator.name):
-                    run = measure_coil(bench, actuator, noise_m_s2=noise_m_s2)
-                write_run(run, name_run(self.folder, rig, actuator), made=self.made)
+                    made = self.made.isoformat()
+                    run = measure_coil(bench, actuator, noise_m_s2=noise_m_s2, made=made)
+                path, buffer = name_run(self.folder, rig, actuator), io.BytesIO()
+                known: dict[str, Any] = {one.name: getattr(run, one.name) for one in fields(run)}
+                np.savez_compressed(buffer, allow_pickle=False, **known)
+                make_folder(path.parent)
+                write_bytes(path, buffer.getvalue())
                 runs[actuator.name] = run
             coils = self.design(runs)
             for name, coil in coils.items():
@@ -468,16 +403,13 @@ class Calibration:
                 f"no sweeps of {', '.join(map(repr, missing))} on this rig are stored; run feel321 calibrate"
             )
         coils = self.design(runs)
-        if (last := self._find_last()) is not None:  # where all were measured in one recording
-            known = read_certificate(last)
-            if known.method == MEASURED:
-                coils = {
-                    name: replace(one, latency=known.coils[name].latency)
-                    for name, one in coils.items()
-                }
+        last = self._find_last()
+        known = None if last is None else read_certificate(last)
+        if known is not None and known.method == MEASURED:  # where all were in one recording
+            for name, coil in coils.items():
+                coils[name] = replace(coil, latency=known.coils[name].latency)
         # It is as old as the oldest sweep.
-        names = (name_run(self.folder, self.rig, one) for one in self.rig.actuators)
-        oldest = min(read_run(name)[1] for name in names)
+        oldest = min(datetime.fromisoformat(run.made) for run in runs.values())
         expires = oldest + timedelta(days=self.rig.calibration.valid_days)
         return replace(self._certify(coils), expires_utc=expires.isoformat(timespec="seconds"))
 
@@ -488,12 +420,13 @@ class Calibration:
         """Find what was measured of the coils on this rig; within: so recently, and since its last certificate."""
         last, found = self._find_last(), {}
         for actuator in self.rig.actuators:
-            run, made = read_run(name_run(self.folder, self.rig, actuator))
-            if run is None or run.main.rate_hz != self.rate_hz:
+            run = read_run(name_run(self.folder, self.rig, actuator))
+            own = (self.rate_hz, self.rig.calibration.band_hz)
+            if run is None or (run.rate_hz, run.band_hz) != own:
                 continue
+            made = datetime.fromisoformat(run.made)
             is_open = last is None or f"{made:%Y%m%dT%H%M%SZ}" > last.name
-            is_new = within is None or (is_open and self.made - made < within)
-            if is_new and run.main.band_hz == self.rig.calibration.band_hz:
+            if within is None or (is_open and self.made - made < within):
                 found[actuator.name] = run
         return found
 
@@ -507,7 +440,7 @@ class Calibration:
             raise KeyboardInterrupt
         return coils
 
-    def _certify(self, coils: Mapping[str, CoilCertificate]) -> Certificate:
+    def _certify(self, coils: Coils) -> Certificate:
         found = begin_certificate(
             self.rig, coils, method=MEASURED, made=self.made, rate_hz=self.rate_hz
         )

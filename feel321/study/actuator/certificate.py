@@ -1,59 +1,78 @@
 """Certificates of calibration: what each coil makes of the samples sent to it, when it was measured, and how well.
 
-A certificate is two files in the study's folder `calibration`, never overwritten: `<id>.json` and `<id>.npz`. The first
-holds the digest of the second, and a digest of itself as seal. Recorded quantities are in m/s², responses in m/s² per
-full scale (of the device), frequencies in Hz.
+A certificate is a file in the study's folder `calibration`, never overwritten, with a digest of itself as seal.
+Quantities are in m/s², responses in m/s² per full scale, frequencies in Hz.
 """
 
+import base64
 import hashlib
 import io
 import json
 import math
-import zipfile
-import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, create_model
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    TypeAdapter,
+    ValidationError,
+)
 from scipy import fft, signal
 
-from feel321.files import create_text, file_named, make_folder, write_bytes
-from feel321.records import to_json_value
+from feel321.files import create_text, file_named, make_folder
 from feel321.study.actuator.response import BAND_HZ, Band, Spectrum, find_inside
 from feel321.study.actuator.rig import AXES, Rig, SensorTable, digest
 from feel321.study.settings.fields import AtLeastOne, Count, Positive, Words
 from feel321.types import Samples
 
 FOLDER = "calibration"
-FORMAT = "feel321 calibration 1"
 MEASURED, MANUAL = "measured", "manual"
-DAMAGED = (EOFError, KeyError, RuntimeError, ValueError, zipfile.BadZipFile, zlib.error)
-"""What reading a damaged archive raises."""
-
 FADED_DB = -80.0  # of a filter's energy: what comes after is cut off
 
+
+def _pack(array: NDArray[Any]) -> str:
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    return base64.b64encode(buffer.getvalue()).decode()
+
+
+def _unpack(text: object) -> NDArray[Any]:
+    array: NDArray[Any] = np.load(io.BytesIO(base64.b64decode(str(text))), allow_pickle=False)
+    return array
+
+
+def _check_time(text: str) -> str:
+    if datetime.fromisoformat(text).tzinfo is None:
+        raise ValueError("must be a time with its zone")
+    return text
+
+
+# JSON holds null where a number was not measured, and arrays as text.
 OrNaN = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
-"""A number that JSON holds as null where it was not measured."""
+Real = Annotated[Samples, PlainValidator(_unpack), PlainSerializer(_pack)]
+Complex = Annotated[Spectrum, PlainValidator(_unpack), PlainSerializer(_pack)]
+Time = Annotated[str, AfterValidator(_check_time)]
+CLOSED = {"extra": "forbid"}  # no fields but these
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class CoilCertificate:
     """One coil, as measured without its filter, and with it.
 
-    channel: of the device, from 1. full_scale_m_s2: median response in the band without the filter; target: response
-    everywhere in its band with it. latency: samples from sending to the sensor; delay: samples that the filter adds.
-    frequency_hz, response (complex, along `direction`, latency removed), coherence, distortion and equalised (with the
-    filter; NaN where not measured): shape (k,). direction: unit vector, shape (3,). fir: shape (n,), [1] for no filter.
-    levels, linearity_db: amplitudes of the ladder (of full scale) and deviations from linear there, shape (m,).
-    before_db, largest_db: largest deviation in the band, without the filter, and with it (at worst_hz). crossed_db:
-    motion across the direction over that along it.
-    budget: standard uncertainties of the level in dB, by source. total_distortion: harmonics over fundamentals, over
-    the whole band.
+    full_scale_m_s2: median response in the band without the filter; target: response everywhere in its band with it.
+    latency: samples from sending to the sensor; delay: samples that the filter adds. response (along the unit vector
+    `direction`, latency removed), coherence, distortion and equalised (with the filter): at frequency_hz. levels,
+    linearity_db: amplitudes of the ladder and deviations from linear there. before_db, largest_db: largest deviation in
+    the band, without the filter, and with it. budget: standard uncertainties of the level in dB, by source.
     """
 
     name: Words
@@ -74,21 +93,19 @@ class CoilCertificate:
     worst_hz: OrNaN = math.nan
     least_coherence_after: OrNaN = math.nan
     budget: Mapping[str, OrNaN] = field(default_factory=dict)
-    direction: Samples
-    frequency_hz: Samples
-    response: Spectrum
-    coherence: Samples
-    distortion: Samples
-    equalised: Spectrum
-    fir: Samples
-    levels: Samples
-    linearity_db: Samples
+    direction: Real
+    frequency_hz: Real
+    response: Complex
+    coherence: Real
+    distortion: Real
+    equalised: Complex
+    fir: Real = field(default_factory=lambda: np.ones(1))
+    levels: Real = field(default_factory=lambda: np.zeros(0))
+    linearity_db: Real = field(default_factory=lambda: np.zeros(0))
+    __pydantic_config__ = CLOSED
 
     def respond(self, drive: Samples, *, rate_hz: float) -> Samples:
-        """Predict the motion along `direction` in m/s², shape (n,), for samples sent, shape (n,); latency is left out.
-
-        Beyond the measured frequencies the response stays as at the last one.
-        """
+        """Predict the motion along `direction` in m/s² for samples sent, shape (n,); latency is left out."""
         # What rings on is less than a second.
         n = fft.next_fast_len(len(drive) + round(rate_hz), real=True)
         grid_hz = fft.rfftfreq(n, 1 / rate_hz)
@@ -111,30 +128,24 @@ class CoilCertificate:
         return filtered
 
 
-ARRAYS = tuple(one.name for one in fields(CoilCertificate) if one.type in {Samples, Spectrum})
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Certificate:
-    """The calibration of a rig: identity, validity, and its coils by actuator.
-
-    sha256: the seal of the file, empty before it is written; method: `measured` or `manual`; made_utc, expires_utc:
-    ISO 8601; sensor, settings: how it was measured; failures: limits that were not kept.
-    """
+    """The calibration of a rig: identity, validity, and its coils by actuator; failures: limits that were not kept."""
 
     id: Words
     method: Words
     rig_sha256: str
-    made_utc: str
-    expires_utc: str
+    made_utc: Time
+    expires_utc: Time
     rate_hz: Positive
     band_hz: Band
-    coils: Mapping[str, CoilCertificate]
-    device: str = ""
-    sensor: Mapping[str, Any] | None = None
+    coils: Annotated[Mapping[str, CoilCertificate], Field(min_length=1)]
+    sensor: SensorTable | None = None
     settings: Mapping[str, Any]
     failures: tuple[str, ...] = ()
     sha256: str = ""
+    format: Literal["feel321 calibration 1"] = "feel321 calibration 1"
+    __pydantic_config__ = CLOSED
 
     @property
     def identity(self) -> dict[str, str]:
@@ -149,25 +160,20 @@ class Certificate:
     @property
     def lead_s(self) -> float:
         """Time by which the filters let samples go out before the vibration that they make."""
-        coils = self.coils.values()
-        late = max(coil.latency + coil.delay for coil in coils)
-        return (late - max(coil.latency for coil in coils)) / self.rate_hz
+        return (self._latest - max(coil.latency for coil in self.coils.values())) / self.rate_hz
+
+    @property
+    def _latest(self) -> int:
+        return max(coil.latency + coil.delay for coil in self.coils.values())
 
     def drive(self, name: str, asked_m_s2: Samples) -> Samples:
-        """Make the samples to be sent to a coil, shape (n + tail,), for the motion that is asked of it, shape (n,).
-
-        They go through its filter, and wait for the coil that is latest with its filter, so that all move together.
-        """
+        """Make the samples to be sent to a coil, shape (n + tail,), for the motion that is asked of it, shape (n,)."""
         coil = self.coils[name]
-        latest = max(one.latency + one.delay for one in self.coils.values())
-        waits = latest - coil.latency - coil.delay
-        return np.concatenate([np.zeros(waits), coil.equalise(asked_m_s2 / coil.target)])
+        waits = np.zeros(self._latest - coil.latency - coil.delay)  # so that all move together
+        return np.concatenate([waits, coil.equalise(asked_m_s2 / coil.target)])
 
     def predict(self, frames: NDArray[np.floating[Any]]) -> Samples:
-        """Predict the acceleration at the hand in m/s², shape (3, n), for frames sent, shape (n, channels).
-
-        Latency is left out; what differs between the coils is kept.
-        """
+        """Predict the acceleration at the hand in m/s², shape (3, n), for frames sent, shape (n, channels)."""
         moved = np.zeros((len(AXES), len(frames)))
         first = min(coil.latency for coil in self.coils.values())
         for coil in self.coils.values():
@@ -181,40 +187,29 @@ class Certificate:
 
     def apply(self, rig: Rig) -> Rig:
         """Give a rig the full scales that were measured, in which the mixer keeps the limits."""
-        actuators = tuple(
-            one.model_copy(update={"full_scale_m_s2": self.coils[one.name].target})
-            for one in rig.actuators
-        )
+        scales = {name: {"full_scale_m_s2": coil.target} for name, coil in self.coils.items()}
+        actuators = tuple(one.model_copy(update=scales[one.name]) for one in rig.actuators)
         return rig.model_copy(update={"actuators": actuators})
 
     def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
         """Find why the certificate is not valid for a rig today, one line each."""
-        again, found = "run feel321 calibrate", []
-        own, channels = digest(rig), {one.name: one.channel for one in rig.actuators}
-        known = {name: coil.channel for name, coil in self.coils.items()}
-        if own != self.rig_sha256 or known != channels:
-            found.append(
-                f"certificate {self.id} is of another rig (digest {self.rig_sha256[:12]}, this rig's is {own[:12]}); "
-                f"put the old rig.toml back, or {again}"
-            )
-        if self.sensor and rig.sensor and rig.sensor != SensorTable.model_validate(self.sensor):
-            found.append(
-                f"certificate {self.id} was measured with another sensor, or another scale of it; "
-                f"put [sensor] back, or {again}"
-            )
-        if now >= datetime.fromisoformat(self.expires_utc):
-            found.append(f"certificate {self.id} expired on {self.expires_utc[:10]}; {again}")
-        if rate_hz is not None and rate_hz != self.rate_hz:
-            found.append(
-                f"certificate {self.id} was measured at {self.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; {again}"
-            )
-        return found + [
-            f"certificate {self.id} did not pass: {failure}; mend that and {again} again"
-            for failure in self.failures
-        ]
-
-
-# How certificates begin.
+        own, again = digest(rig), "run feel321 calibrate"
+        causes = {
+            f"is of another rig (digest {self.rig_sha256[:12]}, this rig's is {own[:12]}); put the old rig.toml back, "
+            f"or {again}": own != self.rig_sha256,
+            f"was measured with another sensor, or another scale of it; put [sensor] back, or {again}": (
+                bool(self.sensor and rig.sensor) and rig.sensor != self.sensor
+            ),
+            f"expired on {self.expires_utc[:10]}; {again}": (
+                now >= datetime.fromisoformat(self.expires_utc)
+            ),
+            f"was measured at {self.rate_hz:g} Hz, the study plays at {rate_hz or 0:g} Hz; {again}": (
+                rate_hz not in {None, self.rate_hz}
+            ),
+        }
+        found = [cause for cause, is_so in causes.items() if is_so]
+        found += [f"did not pass: {one}; mend that and {again} again" for one in self.failures]
+        return [f"certificate {self.id} {cause}" for cause in found]
 
 
 def begin_certificate(
@@ -232,8 +227,7 @@ def begin_certificate(
         rate_hz=rate_hz,
         band_hz=settings.band_hz,
         coils=coils,
-        device=rig.device.name,
-        sensor=rig.sensor.model_dump(mode="json") if rig.sensor and method == MEASURED else None,
+        sensor=rig.sensor if method == MEASURED else None,
         settings=settings.model_dump(mode="json"),
     )
 
@@ -254,10 +248,9 @@ def make_manual(
             f"{', '.join(map(repr, wrong))}"
         )
     if wrong := [name for name, gain in gains.items() if not 0 < gain < math.inf]:
-        raise ValueError(
-            f"manual gain of {wrong[0]!r} must be positive m/s² per full scale, got {gains[wrong[0]]:g}"
-        )
-    unknown, nothing, db = np.full(2, np.nan), np.zeros(0), rig.calibration.gain_uncertainty_db
+        got = f"{gains[wrong[0]]:g}"
+        raise ValueError(f"gain of {wrong[0]!r} must be positive m/s² per full scale, got {got}")
+    unknown, db = np.full(2, np.nan), rig.calibration.gain_uncertainty_db
     coils = {
         actuator.name: CoilCertificate(
             name=actuator.name,
@@ -273,68 +266,24 @@ def make_manual(
             coherence=unknown,
             distortion=unknown,
             equalised=unknown.astype(np.complex128),
-            fir=np.ones(1),
-            levels=nothing,
-            linearity_db=nothing,
         )
         for actuator in rig.actuators
     }
     return begin_certificate(rig, coils, method=MANUAL, made=made, rate_hz=rate_hz)
 
 
-# The files of a certificate.
-
-
-def _make_model(record: type, name: str, **others: Any) -> Any:  # noqa: ANN401 - a type made here
-    """Make the model of what JSON holds of a record: all its fields but arrays, of the types that it says."""
-    own: dict[str, Any] = {"__config__": {"extra": "forbid"}}
-    own |= {one.name: (one.type, ...) for one in fields(record) if one.name not in ARRAYS}
-    return create_model(name, **own | others)
-
-
-def _check_time(text: str) -> str:
-    if datetime.fromisoformat(text).tzinfo is None:
-        raise ValueError("must be a time with its zone")
-    return text
-
-
-_CoilEntry: Any = _make_model(CoilCertificate, "_CoilEntry")
-_Entry = _make_model(
-    Certificate,
-    "_Entry",
-    format=(str, ...),
-    arrays_sha256=(str, ...),
-    expires_utc=(Annotated[str, AfterValidator(_check_time)], ...),
-    sensor=(SensorTable | None, ...),
-    coils=(Annotated[tuple[_CoilEntry, ...], Field(min_length=1)], ...),
-)
+_CERTIFICATE = TypeAdapter(Certificate)
 
 
 def write_certificate(certificate: Certificate, folder: Path) -> Certificate:
     """Write a certificate into a study's folder, where none of that name may be, and return it with its seal."""
     path = folder / FOLDER / f"{certificate.id}.json"
     make_folder(path.parent)
-    for file in (path, path.with_suffix(".npz")):
-        if file.exists():
-            raise FileExistsError(f"{file}: already exists and is not overwritten; calibrate again")
-    coils = list(certificate.coils.values())
-    buffer = io.BytesIO()
-    packed = {f"{k}.{name}": getattr(coil, name) for k, coil in enumerate(coils) for name in ARRAYS}
-    np.savez_compressed(buffer, allow_pickle=False, **packed)
-
-    def describe(record: Any, *besides: str) -> dict[str, Any]:  # noqa: ANN401 - either record
-        names = [one.name for one in fields(record) if one.name not in besides]
-        return {name: getattr(record, name) for name in names}
-
-    entry = to_json_value({
-        "format": FORMAT,
-        **describe(certificate, "coils", "sha256"),
-        "coils": [describe(coil, *ARRAYS) for coil in coils],
-        "arrays_sha256": hashlib.sha256(buffer.getvalue()).hexdigest(),
-    })
-    write_bytes(path.with_suffix(".npz"), buffer.getvalue())
-    sealed = entry | {"sha256": _seal(entry)}
-    create_text(path, json.dumps(sealed, indent=1, ensure_ascii=False) + "\n")
+    if path.exists():
+        raise FileExistsError(f"{path}: already exists and is not overwritten; calibrate again")
+    entry = _CERTIFICATE.dump_python(certificate, mode="json")
+    entry["sha256"] = _seal(entry)
+    create_text(path, json.dumps(entry, indent=1, ensure_ascii=False) + "\n")
     return read_certificate(path)
 
 
@@ -343,41 +292,22 @@ def read_certificate(path: Path) -> Certificate:
     with file_named(path):
         try:
             entry = json.loads(path.read_text(encoding="utf-8"))
-            found, seal = entry["format"], entry["sha256"]
+            is_sealed = entry["sha256"] == _seal(entry)
         except (ValueError, KeyError, TypeError, RecursionError):
-            raise ValueError(
-                "not a certificate as calibrate writes them; calibrate again"
-            ) from None
-        if found != FORMAT:
-            raise ValueError(f"got format {found!r}, expected {FORMAT!r}; calibrate again")
-        if _seal({key: value for key, value in entry.items() if key != "sha256"}) != seal:
+            raise ValueError("not a certificate of calibrate's; calibrate again") from None
+        if not is_sealed:
             raise ValueError("was changed after it was written; restore it, or calibrate again")
-        content = path.with_suffix(".npz").read_bytes()
-        if hashlib.sha256(content).hexdigest() != entry.get("arrays_sha256"):
-            raise ValueError(
-                f"its arrays in {path.stem}.npz were changed; restore them, or calibrate again"
-            )
         try:
-            known = dict(_Entry.model_validate(entry))
-            with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-                coils = [
-                    CoilCertificate(**dict(coil), **{one: arrays[f"{k}.{one}"] for one in ARRAYS})
-                    for k, coil in enumerate(known.pop("coils"))
-                ]
+            return _CERTIFICATE.validate_python(entry)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             place = ".".join(map(str, first["loc"]))
             raise ValueError(f"{place}: {first['msg']}; calibrate again") from None
-        except DAMAGED:
-            raise ValueError("lacks a part of a certificate; calibrate again") from None
-        for name in ("format", "arrays_sha256"):
-            del known[name]
-        known["sensor"] = entry["sensor"]
-        return Certificate(**known, coils={coil.name: coil for coil in coils})
 
 
 def _seal(entry: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()
+    own = {key: value for key, value in entry.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(own, sort_keys=True).encode()).hexdigest()
 
 
 def list_certificates(folder: Path) -> list[Path]:
@@ -388,10 +318,7 @@ def list_certificates(folder: Path) -> list[Path]:
 def judge_certificates(
     folder: Path, rig: Rig, *, now: datetime, rate_hz: float | None = None
 ) -> tuple[Certificate | None, list[str]]:
-    """Find the newest valid certificate of a rig; if there is none, the faults of the one that comes nearest.
-
-    Nearest is the newest of the same rig, else the newest of all.
-    """
+    """Find the newest valid certificate of a rig; if there is none, the faults of its newest one, else of any."""
     candidates: list[tuple[bool, list[str]]] = []
     for path in list_certificates(folder):
         try:
@@ -407,14 +334,13 @@ def judge_certificates(
     return None, min(candidates, key=lambda candidate: candidate[0])[1]
 
 
-# A picture of a certificate.
-
 PANEL_CM = 4.6
 FLOOR_DB = -60.0
+TICKS_HZ = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 
 def draw_certificate(certificate: Certificate, stem: Path) -> None:
-    """Draw each coil: its response, its filter, what is left with it, its harmonics and the limits; save it as SVG."""
+    """Draw each coil: its response, its filter, what is left with it, and the limits; save it as SVG."""
     from feel321.analysis.figures import style
 
     coils, (low, high) = list(certificate.coils.values()), certificate.band_hz
@@ -426,41 +352,25 @@ def draw_certificate(certificate: Certificate, stem: Path) -> None:
             at_hz = coil.frequency_hz[find_inside(coil.frequency_hz, band_hz=(low, high))]
             own = np.interp(at_hz, coil.frequency_hz, coil.response) / coil.target
             left = np.interp(at_hz, coil.frequency_hz, coil.equalised) / coil.target
-            bent = np.interp(at_hz, coil.frequency_hz, coil.distortion)
             inverse = coil.find_filter(at_hz, rate_hz=certificate.rate_hz)
             for size, name, colour in (
                 (own, "without filter", style.RED),
                 (inverse, "filter", style.OKABE_ITO[2]),
                 (left, "with filter", style.BLUE),
-                (bent, "harmonics", style.GREY),
             ):
                 level_db = 20 * np.log10(np.maximum(np.abs(size), 1e-9))
                 axes.plot(at_hz, np.maximum(level_db, FLOOR_DB), color=colour, label=name)
-            axes.fill_between(
-                coil.band_hz,
-                -most_db,
-                most_db,
-                color=style.GREY,
-                alpha=0.2,
-                linewidth=0,
-                label="limits",
-            )
-            axes.set_xscale("log")
-            axes.margins(x=0)
-            axes.set_ylim(FLOOR_DB - 2, None)
-            axes.set_ylabel("Level (dB)")
-            axes.set_title(
-                f"{coil.name}: {coil.target:.3g} m/s² at full scale, within {coil.largest_db:.1f} dB"
-            )
+            grey = {"color": style.GREY, "alpha": 0.2, "linewidth": 0}
+            axes.fill_between(coil.band_hz, -most_db, most_db, label="limits", **grey)
+            axes.set(xscale="log", ylabel="Level (dB)", ylim=(FLOOR_DB - 2, None), xmargin=0)
+            scale = f"{coil.target:.3g} m/s² at full scale"
+            axes.set_title(f"{coil.name}: {scale}, within {coil.largest_db:.1f} dB")
         panels[-1].set_xlabel("Frequency (Hz)")
-        round_hz = [digit * 10**power for power in range(5) for digit in (1, 2, 5)]
-        shown = [one for one in round_hz if low <= one <= high]
+        shown = [one for one in TICKS_HZ if low <= one <= high]
         panels[-1].set_xticks(shown, [f"{one:g}" for one in shown])
         panels[-1].set_xticks([], minor=True)
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(
-            handles, labels, loc="outside lower center", ncols=5, frameon=False, handlelength=1.5
-        )
+        figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
         passed = "passed" if certificate.passed else "did not pass"
         style.add_title(figure, f"{certificate.id} ({certificate.method}): {passed}")
         style.save_figure(figure, stem, formats=("svg",))

@@ -1,25 +1,19 @@
 """Delivered vibration: what the hand got, as its sensor measured it or a certificate predicts it, and what was asked.
 
-A comparison takes out the latency first: the lag with the largest cross-correlation, to the sample. Level and coherence
-are those of 20 to 1000 Hz. Level is that of the part of the measured motion that follows what was asked (coherent
-output power, Bendat & Piersol), so noise does not count as vibration; coherence is that part's share of the energy.
+A comparison takes out the latency first: the lag with the largest cross-correlation. Level is that of the part of the
+measured motion that follows what was asked, from 20 to 1000 Hz (coherent output power, Bendat & Piersol), so noise does
+not count as vibration; coherence is that part's share of the energy.
 
 The match metrics of a stimulus are those of its reduction, at the recording's own rate, before level, rate and fades.
-So that the delivered metrics differ from them by what the rig did and by nothing else, the rig's error (measured
-minus asked) is brought to the recording's rate and strength and added to the reduced signal. Of the error, what lies
-outside 20 to 1000 Hz (and the reach of the metrics' smoothing) is left out: tremor of the hand and noise of the sensor
-are no vibration. A rig without error delivers the manifest's metrics.
-
-A three-axis stimulus (the reference) has them on a three-axis sensor only: the spectral match of the three axes'
-energies together, and the mean correlation of each axis with itself. On a sensor with one axis it has level and
-coherence, in the direction in which it fits best; a one-axis stimulus is taken to be measured along its motion.
+So that the delivered metrics differ from them by what the rig did and by nothing else, the rig's error (measured minus
+asked, in the band) is brought to the recording's rate and strength and added to the reduced signal. On a sensor with
+one axis a three-axis stimulus has level and coherence only, in the direction in which it fits best.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy import fft, signal
 
 from feel321.stimuli.condition import resample
@@ -53,7 +47,10 @@ TINY = 1e-300
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """Measured and asked motion, compared: lag in samples; polarity 1 or -1; rms_m_s2: of what was measured."""
+    """Measured and asked motion, compared: lag in samples; rms_m_s2: of what was measured.
+
+    error: measured minus asked, at the asked strength's scale and polarity, shape (axes, n).
+    """
 
     lag: int
     polarity: int
@@ -61,21 +58,19 @@ class Delivery:
     coherence: float
     rms_m_s2: float
     error: Samples
-    """Measured minus asked, at the asked strength's scale and polarity, shape (axes, n)."""
 
 
 def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
     """Compare measured with asked motion in m/s², shapes (axes, m) and (axes, n); of three, one may be measured."""
     asked, measured = _center(asked), _center(measured)
-    correlation = _correlate(asked, measured)
-    n = asked.shape[-1]
+    correlation, n = _correlate(asked, measured), asked.shape[-1]
     if len(measured) < len(asked):
-        # What a least-squares fit explains at each lag.
-        explained = np.einsum(
-            "in,in->n", correlation, np.linalg.pinv(asked @ asked.T) @ correlation
-        )
-        lag = int(np.argmax(explained))
-        asked = _fit_direction(asked, _cut(measured, lag, n)[0])
+        # The direction in which the one axis follows best, at the lag at which a least-squares fit explains most.
+        inverse = np.linalg.pinv(asked @ asked.T)
+        explained = np.einsum("in,in->n", correlation, inverse @ correlation)
+        felt = _cut(measured, int(np.argmax(explained)), n)[0]
+        fitted = np.asarray(np.linalg.lstsq(asked.T, felt)[0], dtype=np.float64)
+        asked = fitted[None] / max(float(np.linalg.norm(fitted)), TINY) @ asked
         correlation = _correlate(asked, measured)
     total = correlation.sum(axis=0)
     lag = int(np.argmax(np.abs(total)))
@@ -90,7 +85,7 @@ def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
         lag=lag,
         polarity=polarity,
         level_error_db=max(float(level_db), LOWEST_DB),
-        coherence=float(coherent / whole) if whole > 0 else 0.0,
+        coherence=coherent / whole if whole > 0 else 0.0,
         rms_m_s2=float(np.sqrt(np.mean(np.square(measured).sum(axis=0)))),
         error=_cut(felt - asked, 0, n),
     )
@@ -114,42 +109,30 @@ def _cut(measured: Samples, lag: int, n: int) -> Samples:
     return np.pad(piece, ((0, 0), (0, n - piece.shape[-1])))
 
 
-def _fit_direction(asked: Samples, felt: Samples) -> Samples:
-    """Project asked axes, (3, n), on the direction in which one measured axis, (n,), follows them best: (1, n)."""
-    fitted = np.asarray(np.linalg.lstsq(asked.T, felt)[0], dtype=np.float64)
-    return fitted[None] / max(float(np.linalg.norm(fitted)), TINY) @ asked
-
-
-def _find_power(
-    asked: Samples, felt: Samples, *, rate_hz: float
-) -> tuple[np.float64, np.float64, np.float64]:
+def _find_power(asked: Samples, felt: Samples, *, rate_hz: float) -> tuple[float, float, float]:
     """Sum over axes and the band: power asked, power that follows what was asked, and all power measured."""
     n = min(round(SEGMENT_S * rate_hz), 2 * asked.shape[-1] // (LEAST_SEGMENTS + 1))
     band_hz = (LOWEST_HZ, HIGHEST_HZ)
     inside = find_inside(fft.rfftfreq(n, 1 / rate_hz), band_hz=band_hz)
-    # What is strong below the band would leak into it.
-    asked, felt = (_limit(one, rate_hz, band_hz=band_hz) for one in (asked, felt))
-    x, y = (_transform(one, n)[..., inside] for one in (asked, felt))
+
+    def transform(samples: Samples) -> Samples:
+        """Transform overlapping segments under a Hann window, shape (axes, segments, k)."""
+        limited = _limit(samples, rate_hz, band_hz=band_hz)  # what is strong below would leak in
+        pieces = np.lib.stride_tricks.sliding_window_view(limited, n, axis=-1)
+        windowed = pieces[:, :: max(n // 2, 1)] * signal.windows.hann(n, sym=False)
+        return np.asarray(fft.rfft(windowed)[..., inside])
+
+    x, y = transform(asked), transform(felt)
     sxx, syy = (np.square(np.abs(one)).sum(axis=1) for one in (x, y))
     sxy = (x.conj() * y).sum(axis=1)
     followed = np.square(np.abs(sxy)) / np.maximum(sxx, TINY)
-    return sxx.sum(), followed.sum(), syy.sum()
+    return float(sxx.sum()), float(followed.sum()), float(syy.sum())
 
 
 def _limit(samples: Samples, rate_hz: float, *, band_hz: Band) -> Samples:
-    """Take out of signals, (axes, n), what lies outside a band."""
     n = samples.shape[-1]
     inside = find_inside(fft.rfftfreq(n, 1 / rate_hz), band_hz=band_hz)
     return np.asarray(fft.irfft(fft.rfft(samples) * inside, n))
-
-
-def _transform(samples: Samples, n: int) -> Samples:
-    """Transform overlapping segments of n samples under a Hann window: (axes, segments, n // 2 + 1)."""
-    pieces = np.lib.stride_tricks.sliding_window_view(samples, n, axis=-1)[:, :: max(n // 2, 1)]
-    return np.asarray(fft.rfft(pieces * signal.windows.hann(n, sym=False)))
-
-
-# The match metrics of what was delivered.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,7 +146,11 @@ class Baseline:
     def match(self, error: Samples, *, rate_hz: float) -> dict[str, float]:
         """Match the reduced signal with the rig's error, shape (axes, n), on it."""
         original, rate = self.reduction.acceleration, self.reduction.rate_hz
-        delivered = self.reduction.samples + self._bring_back(error, rate_hz=rate_hz)
+        shape = self.reduction.samples.shape
+        at_rate = _cut(resample(error, rate_hz, to_hz=rate) / self.gain, 0, shape[-1])
+        band_hz = (LOWEST_HZ * (1 - REACH), HIGHEST_HZ * (1 + REACH))
+        own = _limit(at_rate, rate, band_hz=band_hz).reshape(shape)
+        delivered = self.reduction.samples + own
         if delivered.ndim == 1:
             correlations = axis_correlations(original, delivered)
             one = delivered
@@ -178,19 +165,11 @@ class Baseline:
             "spectral_match_bounded": float(bounded),
         }
 
-    def _bring_back(self, error: Samples, *, rate_hz: float) -> Samples:
-        """Bring the rig's error to the rate, length and strength of the reduced signal, in the band that counts."""
-        rate, shape = self.reduction.rate_hz, self.reduction.samples.shape
-        at_rate = _cut(resample(error, rate_hz, to_hz=rate) / self.gain, 0, shape[-1])
-        band_hz = (LOWEST_HZ * (1 - REACH), HIGHEST_HZ * (1 + REACH))
-        return _limit(at_rate, rate, band_hz=band_hz).reshape(shape)
-
 
 def find_moves(rig: Rig, n_tracks: int, directions: Mapping[str, Samples] | None = None) -> Samples:
-    """Find how each of 1 or 3 tracks of a stimulus moves the hand: shape (axes, n_tracks).
+    """Find how each of 1 or 3 tracks of a stimulus moves the hand, shape (axes, n_tracks), by directions of the coils.
 
-    directions: of the coils, as a sensor of so many axes saw them; as in rig.toml by default. Where rig.toml gives none
-    either, a track moves the hand as it is.
+    Those of rig.toml by default; where it gives none either, a track moves the hand as it is.
     """
     sources, mix = (REDUCED,) if n_tracks == 1 else AXES, find_mix(rig)
     if directions is None:
@@ -199,8 +178,7 @@ def find_moves(rig: Rig, n_tracks: int, directions: Mapping[str, Samples] | None
             return np.eye(n_tracks)
     moves = np.zeros((len(next(iter(directions.values()))), n_tracks))
     for name, direction in directions.items():
-        factors = [mix[name].get(source, 0.0) for source in sources]
-        moves += np.outer(direction, factors)
+        moves += np.outer(direction, [mix[name].get(source, 0.0) for source in sources])
     return moves
 
 
@@ -216,18 +194,16 @@ def reduce_stimuli(
         spectrum: OriginalSpectrum | None = None
         for one in own:
             reduction = made[one.reducer]
-            if spectrum is None:
-                spectrum = OriginalSpectrum(reduction.acceleration, reduction.rate_hz)
+            spectrum = spectrum or OriginalSpectrum(reduction.acceleration, reduction.rate_hz)
             gain = one.gain * reduction.factor
             found[one.stimulus_id] = Baseline(reduction, spectrum, gain)
     return found
 
 
 class DeliveryCheck:
-    """Compares each playback of a set with what was asked of a rig.
+    """Compares each playback of a set with what was asked of a rig; tolerance_db: of a coil's level.
 
-    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known. certificate: only with
-    one does the rig promise to give what is asked, so that level and polarity count. tolerance_db: of a coil's level.
+    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known.
     """
 
     def __init__(
@@ -241,87 +217,73 @@ class DeliveryCheck:
         tolerance_db: float | None = None,
     ) -> None:
         self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
-        self._reduced, self._certificate = reduced, certificate
+        self._reduced, self._is_calibrated = reduced, certificate is not None
+        # Typed gains predict what was asked, and show no directions.
+        is_measured = certificate is not None and certificate.method == MEASURED
+        self._certificate = certificate if is_measured else None
         self._diagnosis: Diagnosis | None = None
-        is_seen = rig.sensor is not None and len(rig.sensor.inputs) == len(AXES)
-        if certificate is not None and certificate.method == MEASURED and is_seen:
-            self._diagnosis = Diagnosis(certificate, rig, tolerance_db=tolerance_db)
+        if self._certificate and rig.sensor is not None and len(rig.sensor.inputs) == len(AXES):
+            self._diagnosis = Diagnosis(self._certificate, rig, tolerance_db=tolerance_db)
         self._predicted: dict[str, dict[str, float]] = {}
         self._own = {stimulus.stimulus_id for stimulus in stimuli}
 
-    def describe(
-        self, stimulus_id: str, sent: Frames, measured: ArrayLike | None
-    ) -> Mapping[str, float]:
-        """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted.
-
-        Tones of the threshold block are not of the set, and not compared.
-        """
-        if stimulus_id not in self._own:
+    def describe(self, stimulus_id: str, sent: Frames, sensed: Frames | None) -> dict[str, float]:
+        """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted."""
+        if stimulus_id not in self._own:  # a tone of the threshold block
             return {}
-        if measured is not None:
-            return self.measure(stimulus_id, np.asarray(measured, dtype=np.float64))
-        if self._certificate is None or self._certificate.method != MEASURED:
-            return {}  # typed gains predict what was asked
-        if stimulus_id not in self._predicted:
-            moved, coils = self._certificate.predict(sent), self._certificate.coils
-            seen = {name: coil.direction for name, coil in coils.items()}
-            self._predicted[stimulus_id] = self._compare(stimulus_id, moved, seen)[1]
-        return self._predicted[stimulus_id]
+        if sensed is not None:
+            return self.measure(stimulus_id, np.asarray(sensed, dtype=np.float64))
+        if self._certificate is not None and stimulus_id not in self._predicted:
+            moved = self._certificate.predict(sent)
+            self._predicted[stimulus_id] = self._compare(stimulus_id, moved)[1]
+        return self._predicted.get(stimulus_id, {})
 
     def diagnose(
-        self, sent: Frames, measured: ArrayLike | None, *, keeps_latency: bool
+        self, sent: Frames, sensed: Frames | None, *, keeps_latency: bool
     ) -> tuple[str, str]:
-        """Name what is wrong with the rig by a whole playback: what spoils it, or else what is only to be told.
-
-        Both are empty if nothing is wrong, or can be known. keeps_latency: whether the device ran without a break since
-        the last one.
-        """
+        """Name what is wrong with the rig by a whole playback: what spoils it, or else what is only to be told."""
         diagnosis = self._diagnosis
-        if diagnosis is None or measured is None:
+        if diagnosis is None or sensed is None:
             return "", ""
-        if not keeps_latency:
+        if not keeps_latency:  # the device had a break since the last one
             diagnosis.lag = None
-        found = diagnosis.judge(sent, np.asarray(measured, dtype=np.float64))
+        found = diagnosis.judge(sent, np.asarray(sensed, dtype=np.float64))
         return (found, "") if diagnosis.is_grave else ("", found)
 
     def measure(self, stimulus_id: str, measured: Samples) -> dict[str, float]:
         """Compare what the sensor measured, shape (axes, m)."""
-        seen = self._find_seen(len(measured))
-        found, values = self._compare(stimulus_id, measured, seen)
+        found, values = self._compare(stimulus_id, measured)
         return values | {
             "lag": float(found.lag),
             "polarity": float(found.polarity),
             "coherence": found.coherence,
             "rms_m_s2": found.rms_m_s2,
-            "is_calibrated": float(self._certificate is not None),
-            "is_measured": float(bool(self._certificate and self._certificate.method == MEASURED)),
+            "is_calibrated": float(self._is_calibrated),
+            "is_measured": float(self._certificate is not None),
         }
 
     def _find_seen(self, n_axes: int) -> dict[str, Samples] | None:
         """Find the directions in which the sensor saw the coils move when they were calibrated, if it did."""
-        if self._certificate is None or self._certificate.method != MEASURED:
+        if self._certificate is None:
             return None
-        coils = self._certificate.coils
+        seen = {name: coil.direction for name, coil in self._certificate.coils.items()}
         if n_axes == len(AXES):
-            return {name: coil.direction for name, coil in coils.items()}
+            return seen
         # One axis saw each coil alone, as strong as it was asked to be; the sign stands in its direction.
-        typed, _ = find_directions(self._rig)
-        signs = {
-            name: coil.direction @ typed.get(name, np.eye(3)[0]) for name, coil in coils.items()
-        }
-        return {name: np.sign([sign]) for name, sign in signs.items()}
+        typed, along = find_directions(self._rig)[0], np.eye(3)[0]
+        return {name: np.sign([own @ typed.get(name, along)]) for name, own in seen.items()}
 
-    def _compare(
-        self, stimulus_id: str, measured: Samples, seen: Mapping[str, Samples] | None
-    ) -> tuple[Delivery, dict[str, float]]:
+    def _compare(self, stimulus_id: str, measured: Samples) -> tuple[Delivery, dict[str, float]]:
         samples, rate = self._stimuli.read(stimulus_id)
         tracks = np.atleast_2d(samples) * self._full_scale
-        moves = find_moves(self._rig, len(tracks), seen)
+        moves = find_moves(self._rig, len(tracks), self._find_seen(len(measured)))
         if len(measured) < len(moves) and len(tracks) == 1:  # the sensor looks along the motion
             moves = np.full((1, 1), np.linalg.norm(moves))
         asked = moves @ tracks
-        if len(measured) > len(moves):
-            measured = _find_way(asked, measured)
+        if len(measured) > len(moves):  # the direction in which they follow one asked axis
+            correlation = _correlate(asked, _center(measured))
+            ways = correlation[:, np.argmax(np.einsum("in,in->n", correlation, correlation))]
+            measured = ways[None] / max(float(np.linalg.norm(ways)), TINY) @ measured
         if len(measured) == len(moves) >= len(tracks):  # in the stimulus's own axes and strength
             back = np.linalg.pinv(moves)
             asked, measured = back @ asked, back @ measured
@@ -332,10 +294,3 @@ class DeliveryCheck:
             matches = reduced.match(found.error, rate_hz=rate)
             values |= {name: value for name, value in matches.items() if np.isfinite(value)}
         return found, values
-
-
-def _find_way(asked: Samples, measured: Samples) -> Samples:
-    """Project measured axes, (axes, m), on the direction in which they follow one asked axis, (1, n)."""
-    correlation = _correlate(asked, _center(measured))
-    ways = correlation[:, np.argmax(np.einsum("in,in->n", correlation, correlation))]
-    return ways[None] / max(float(np.linalg.norm(ways)), TINY) @ measured

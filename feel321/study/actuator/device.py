@@ -1,8 +1,6 @@
 """PortAudio: its devices, and one open stream to one of them; and ports for triggers.
 
-Only this module knows sounddevice and PsychoPy's ports.
-
-All times are the device's own, in s.
+Only this module knows sounddevice and PsychoPy's ports. All times are the device's own, in s.
 """
 
 import os
@@ -10,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from math import nan
+from math import ceil, nan
 from threading import Thread
 from time import perf_counter, sleep
 from types import ModuleType
@@ -20,17 +18,13 @@ from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.rig import Rig, TriggerTable
 
 Foreign = Any  # sounddevice has no types
-# In s since the session began, without the time between its openings.
-SessionClock = Callable[[], float]
+SessionClock = Callable[
+    [], float
+]  # in s since the session began, without time between its openings
 Fill = Callable[[Frames, "BlockTimes", Frames | None], None]
 
 FALLBACKS = ("default", "sysdefault")  # not always the same device, so no study can use them
-
-ALSA = "ALSA"
-HARDWARE = "(hw:"  # part of ALSA's names of devices that are a card, not a program
-
 PROGRAMS = ("JACK Audio Connection Kit", "PulseAudio", "MME", "Windows DirectSound")
-"""Interfaces that are programs themselves."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,28 +39,18 @@ class Device:
 
     @property
     def is_program(self) -> bool:
-        """Whether a program stands before the hardware, such as a sound server.
-
-        It may convert the rate, and play the rig's channels on others too where its sink has more of them; PortAudio
-        learns of neither.
-        """
-        return self.host_api in PROGRAMS or (self.host_api == ALSA and HARDWARE not in self.name)
+        """Whether a sound server stands before the hardware, which may convert rate and channels without notice."""
+        is_card = self.host_api != "ALSA" or "(hw:" in self.name
+        return self.host_api in PROGRAMS or not is_card
 
 
 def list_devices() -> list[Device]:
     """List the audio devices of this machine."""
     sounddevice = _load()
     apis = [api["name"] for api in sounddevice.query_hostapis()]
-    return [
-        Device(
-            index=row["index"],
-            name=row["name"],
-            host_api=apis[row["hostapi"]],
-            n_outputs=row["max_output_channels"],
-            n_inputs=row["max_input_channels"],
-        )
-        for row in sounddevice.query_devices()
-    ]
+    names = ("index", "name", "max_output_channels", "max_input_channels")
+    rows = ((row["hostapi"], *(row[name] for name in names)) for row in sounddevice.query_devices())
+    return [Device(index, name, apis[api], *channels) for api, index, name, *channels in rows]
 
 
 def find_devices(rig: Rig) -> tuple[Device, Device]:
@@ -86,12 +70,10 @@ def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = 
     outputs = [one for one in devices if one.n_outputs and one.name.lower() not in FALLBACKS]
     if not outputs:
         raise OSError(f"device {name!r} not found: there is no output device at all; plug it in")
-    if name.lower() in FALLBACKS:
-        raise OSError(
-            f"device {name!r} may be another one tomorrow; name one of {_list_names(outputs)}"
-        )
     allowed = [one for one in outputs if not host_api or one.host_api.lower() == host_api.lower()]
-    return _pick(allowed, name, listed=outputs, which=f" through {host_api}" if host_api else "")
+    which = " (which may be another one tomorrow)" if name.lower() in FALLBACKS else ""
+    which += f" through {host_api}" if host_api else ""
+    return _pick(allowed, name, listed=outputs, which=which)
 
 
 def _pick(devices: Sequence[Device], name: str, *, listed: Sequence[Device], which: str) -> Device:
@@ -99,31 +81,28 @@ def _pick(devices: Sequence[Device], name: str, *, listed: Sequence[Device], whi
     part = name.strip().lower()
     found = [one for one in devices if one.name == name]
     found = found or [one for one in devices if part and part in one.name.lower()]
-    if not found:
-        raise OSError(f"device {name!r}{which} not found; name one of {_list_names(listed)}")
-    if len(found) > 1:
+    if len(found) == 1:
+        return found[0]
+    known = ", ".join(f"{device.name!r} ({device.host_api})" for device in found or listed)
+    if found:
         raise OSError(
-            f"device {name!r}{which} is ambiguous: {len(found)} devices have it in their names: {_list_names(found)}; "
-            "name one in full, and its host_api in rig.toml"
+            f"device {name!r}{which} is ambiguous: {len(found)} devices have it in their names: {known}; name one in "
+            "full, and its host_api in rig.toml"
         )
-    return found[0]
-
-
-def _list_names(devices: Sequence[Device]) -> str:
-    return ", ".join(f"{device.name!r} ({device.host_api})" for device in devices)
+    raise OSError(f"device {name!r}{which} not found; name one of {known}")
 
 
 def check_channels(rig: Rig, device: Device, source: Device) -> None:
     """Refuse devices that lack a channel that the rig names."""
     n_inputs = max(rig.sensor.inputs) if rig.sensor else 0
-    for one, kind, needed, there in (
-        (device, "output", rig.n_channels, device.n_outputs),
-        (source, "input", n_inputs, source.n_inputs),
+    for name, kind, needed, there in (
+        (device.name, "output", rig.n_channels, device.n_outputs),
+        (source.name, "input", n_inputs, source.n_inputs),
     ):
         if needed > there:
             raise OSError(
-                f"device {one.name!r} has {there} {kind} channel(s), the rig needs {needed}; "
-                "take another device, or other channels in rig.toml"
+                f"device {name!r} has {there} {kind} channel(s), the rig needs {needed}; take another device, or other "
+                "channels in rig.toml"
             )
 
 
@@ -142,31 +121,28 @@ def list_rates(device: Device, rates_hz: Sequence[float]) -> list[float]:
 def refresh_devices() -> None:
     """Let PortAudio look for devices anew: it lists those that it found when it was loaded. No stream may be open."""
     sounddevice = _load()
-    with _silence_stderr():
-        # sounddevice offers no other way (its documentation names this one).
-        with suppress(sounddevice.PortAudioError):  # where it could not begin the last time
-            sounddevice._terminate()
-        try:
+    try:
+        with _silence_stderr():
+            # sounddevice offers no other way (its documentation names this one).
+            with suppress(sounddevice.PortAudioError):  # where it could not begin the last time
+                sounddevice._terminate()
             sounddevice._initialize()
-        except sounddevice.PortAudioError as error:
-            raise OSError(
-                f"device: PortAudio does not start ({error}); check the sound system, then resume"
-            ) from None
+    except sounddevice.PortAudioError as error:
+        why = f"PortAudio does not start ({error})"
+        raise OSError(f"device: {why}; check the sound system, then resume") from None
 
 
 def _load() -> ModuleType:
     try:
         with _silence_stderr():
             import sounddevice
-
-            module: ModuleType = sounddevice
     except ImportError:
         how = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
         raise OSError(f"device: actuators need sounddevice, which is not found; {how}") from None
     except OSError:
-        raise OSError(
-            "device: sounddevice needs PortAudio, which is not found; install the package libportaudio2"
-        ) from None
+        how = "install the package libportaudio2"
+        raise OSError(f"device: sounddevice needs PortAudio, which is not found; {how}") from None
+    module: ModuleType = sounddevice
     return module
 
 
@@ -191,33 +167,12 @@ def _silence_stderr() -> Iterator[None]:
 GLANCE_S = 0.25  # longest time between two looks that counts: beyond, this process was suspended
 
 
-class Patience:
-    """Adds up the time between looks at something that is waited for.
-
-    On a busy machine this process itself may stand still for seconds, and what it waits for could not do anything
-    either: a device is not dead because nobody looked.
-    """
-
-    def __init__(self) -> None:
-        self._looked_s, self._waited_s = perf_counter(), 0.0
-
-    def look(self) -> float:
-        """Look, and return how long was waited, in s."""
-        now_s = perf_counter()
-        self._waited_s += min(now_s - self._looked_s, GLANCE_S)
-        self._looked_s = now_s
-        return self._waited_s
-
-
 def join(thread: Thread, *, patience_s: float) -> bool:
     """Wait for the end of a thread, not counting time during which this process was suspended."""
-    patience = Patience()
-    while thread.is_alive() and patience.look() < patience_s:
+    for _ in range(ceil(patience_s / GLANCE_S)):
         thread.join(min(GLANCE_S, patience_s))
     return not thread.is_alive()
 
-
-# What the blocks of the mixer go to.
 
 FROM_DEVICE, FROM_LATENCY = "device", "latency"  # ways to get the time of an onset
 
@@ -228,7 +183,6 @@ class BlockTimes:
 
     now_s: float
     dac_s: float
-    adc_s: float = 0.0
     has_run_dry: bool = False
     has_lost_input: bool = False
     dac_source: str = FROM_DEVICE
@@ -243,46 +197,22 @@ class Sink:
     latency_s = 0.0
     there_and_back_s = 0.0
     name = ""
+    identity: dict[str, object]
 
     def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
         self._rig, self._rate_hz, self._fill, self._clock = rig, rate_hz, fill, clock
-
-    @property
-    def identity(self) -> dict[str, object]:
-        """What a journal says of it."""
-        return {"device": self.name}
-
-    @property
-    def is_active(self) -> bool:
-        """Whether it was not stopped; it may stand still nevertheless."""
-        return True
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether it has asked for nothing for long; if nobody looked meanwhile, it may just go on."""
-        return not self.is_active
+        self.identity = {"device": self.name}
 
     def find_fault(self) -> str:
         """Describe why it does not run; empty if it does."""
-        return "" if self.is_active else "stopped"
+        return ""
 
     def compare_clocks(self) -> float:
         """Find by how much the session's clock is ahead of its own, in s; NaN if it is dead."""
         return 0.0
 
-    def begin(self) -> None:
-        """Be told that a playback begins."""
-
-    def serve_due(self) -> bool:
-        """Serve a block that is due, if it does not ask for blocks by itself; returns whether there was one."""
-        return False
-
     def close(self) -> None:
         """Fall silent and let go of everything."""
-
-    @staticmethod
-    def refresh() -> None:
-        """Look anew for what there is, before it is opened again."""
 
 
 STALL_S = 2.5  # a device that asks for nothing for so long, while it is looked at, counts as dead
@@ -298,19 +228,28 @@ class DeviceStream(Sink):
     def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
         super().__init__(rig, rate_hz=rate_hz, fill=fill, clock=clock)
         device, source = find_devices(rig)
-        self.name, self._device = device.name, device
-        self._columns = [channel - 1 for channel in rig.sensor.inputs] if rig.sensor else None
+        self.name, sensor = device.name, rig.sensor
+        self.identity = {"device": device.name, "host_api": device.host_api}
+        self.identity["is_program"] = device.is_program
+        self._columns = [channel - 1 for channel in sensor.inputs] if sensor else None
         # What the device has to play: sound servers do not always say that it ran out.
-        self._held_s = OPENED_S
-        self._is_closed = False
-        self._seen_s, self._patience = 0.0, Patience()
+        self._held_s, self._is_closed = OPENED_S, False
         self._untimed_s = nan  # time of the last call that did not say when its samples leave
+        settings: dict[str, Any] = {"samplerate": rate_hz, "dtype": "float32"}
+        settings["latency"] = rig.device.latency_s
         try:
             with _silence_stderr():
-                self._stream = self._open(device, source)
-                latency = self._stream.latency
-                self.latency_s = float(latency if self._columns is None else latency[1])
-                self.there_and_back_s = float(latency if self._columns is None else sum(latency))
+                if sensor is None:
+                    settings |= {"device": device.index, "channels": rig.n_channels}
+                    serve = partial(self._serve, None)
+                    self._stream = _load().OutputStream(callback=serve, **settings)
+                    self.latency_s = self.there_and_back_s = float(self._stream.latency)
+                else:
+                    settings["device"] = (source.index, device.index)
+                    settings["channels"] = (max(sensor.inputs), rig.n_channels)
+                    self._stream = _load().Stream(callback=self._serve, **settings)
+                    self.latency_s = float(self._stream.latency[1])
+                    self.there_and_back_s = float(sum(self._stream.latency))
                 if self._stream.samplerate != rate_hz:
                     self._close()
                     raise OSError(
@@ -318,7 +257,8 @@ class DeviceStream(Sink):
                         f"{rate_hz:g} Hz; set the device, or rate_hz under [rig] in study.toml"
                     )
                 # Opening may have taken long; only from here on it can stand still.
-                self._last_s = perf_counter()
+                self._last_s = self._seen_s = self._looked_s = perf_counter()
+                self._silent_s = 0.0  # while it was looked at: not every silence is the device's
                 self._stream.start()
         except _load().PortAudioError as error:
             reason = " ".join(str(part) for part in error.args[:1]).rstrip(".")
@@ -327,56 +267,24 @@ class DeviceStream(Sink):
                 "use a rate that it takes without conversion, see: feel321 doctor"
             ) from None
 
-    @property
-    def identity(self) -> dict[str, object]:
-        """What a journal says of it."""
-        own = self._device
-        return {"device": own.name, "host_api": own.host_api, "is_program": own.is_program}
-
-    def _open(self, device: Device, source: Device) -> Foreign:
-        rig = self._rig
-        settings: dict[str, Any] = {"samplerate": self._rate_hz, "dtype": "float32"}
-        settings["latency"] = rig.device.latency_s
-        if rig.sensor is None:
-            settings |= {"device": device.index, "channels": rig.n_channels}
-            return _load().OutputStream(callback=partial(self._serve, None), **settings)
-        settings |= {
-            "device": (source.index, device.index),
-            "channels": (max(rig.sensor.inputs), rig.n_channels),
-        }
-        return _load().Stream(callback=self._serve, **settings)
-
-    @property
-    def is_active(self) -> bool:
-        """Whether the stream was not stopped; it may stand still nevertheless."""
-        return bool(self._stream.active)
-
-    @property
-    def is_silent(self) -> bool:
-        """Whether it has asked for nothing for long; if nobody looked meanwhile, it may just go on."""
-        return perf_counter() - self._last_s > STALL_S
-
     def find_fault(self) -> str:
         """Describe why the stream does not run; empty if it does."""
-        if not self.is_active:
+        if not self._stream.active:
             return "stopped: unplugged, or its server ended"
+        looked_s, self._looked_s = self._looked_s, perf_counter()
+        self._silent_s += min(self._looked_s - looked_s, GLANCE_S)
         if self._last_s != self._seen_s:
-            self._seen_s, self._patience = self._last_s, Patience()
-        silent_s = self._patience.look()
-        if silent_s > STALL_S:
-            return f"stands still: it asked for nothing for {silent_s:.1f} s"
-        return ""
+            self._seen_s, self._silent_s = self._last_s, 0.0
+        is_still = self._silent_s > STALL_S
+        return f"stands still: it asked for nothing for {self._silent_s:.1f} s" if is_still else ""
 
     def compare_clocks(self) -> float:
         """Find by how much the session's clock is ahead of the device's, in s; NaN if the device is dead."""
         readings = []
         try:
             for _ in range(CLOCK_READS):
-                before_s, device_s, after_s = (
-                    self._clock(),
-                    float(self._stream.time),
-                    self._clock(),
-                )
+                before_s, device_s = self._clock(), float(self._stream.time)
+                after_s = self._clock()
                 readings.append((after_s - before_s, (before_s + after_s) / 2 - device_s))
         except _load().PortAudioError:
             return nan
@@ -388,11 +296,6 @@ class DeviceStream(Sink):
         closing = Thread(target=self._close, daemon=True)
         closing.start()
         join(closing, patience_s=CLOSING_S)
-
-    @staticmethod
-    def refresh() -> None:
-        """Let PortAudio look for devices anew."""
-        refresh_devices()
 
     def _close(self) -> None:
         # A device that is gone refuses to be stopped; there is nothing left to stop then.
@@ -407,14 +310,15 @@ class DeviceStream(Sink):
         n, times, status = given
         self._last_s, before_s = perf_counter(), self._last_s
         dac_s, dac_source = self._find_dac_time(times)
-        is_empty = self._refill(self._last_s - before_s, block_s=n / self._rate_hz)
+        # The device waited for this block longer than it had samples for, though it need not say so.
+        block_s = n / self._rate_hz
+        left_s = self._held_s - (self._last_s - before_s)
+        held_s = min(self.latency_s, left_s) + block_s * DRIFT
+        self._held_s = self.latency_s + block_s if left_s < 0 else held_s
         block = BlockTimes(
             now_s=times.currentTime,
             dac_s=dac_s,
-            # DirectSound never says when its input was measured (PortAudio#121).
-            adc_s=times.inputBufferAdcTime
-            or times.currentTime - (self.there_and_back_s - self.latency_s),
-            has_run_dry=bool(status.output_underflow) or is_empty,
+            has_run_dry=bool(status.output_underflow) or left_s < 0,
             has_lost_input=bool(status.input_overflow or status.input_underflow),
             dac_source=dac_source,
         )
@@ -423,26 +327,16 @@ class DeviceStream(Sink):
     def _find_dac_time(self, times: Foreign) -> tuple[float, str]:
         """Find when the first sample of a block leaves the converter, and how that was got.
 
-        Nothing leaves in the moment in which it is asked for: a DAC time that is not after now only says that the
-        interface does not know. DirectSound gives now itself (PortAudio#530), WDM-KS gives 0 (PortAudio#531).
+        A DAC time that is not after now only says that the interface does not know: DirectSound gives now itself
+        (PortAudio#530), WDM-KS gives 0 (PortAudio#531). PortAudio splits a buffer that wraps around: its second part
+        has the same now, and a DAC time that is later by the length of the first.
         """
         now_s, dac_s = times.currentTime, times.outputBufferDacTime
-        # PortAudio splits a buffer that wraps around: its second part has the same now, and a DAC time that is later
-        # by the length of the first.
         if dac_s > now_s and now_s != self._untimed_s:
             return dac_s, FROM_DEVICE
         self._untimed_s = now_s
         return max(dac_s, now_s) + self.latency_s, FROM_LATENCY
 
-    def _refill(self, waited_s: float, *, block_s: float) -> bool:
-        """Count a block, and return whether the device had waited for it longer than it had samples for."""
-        left_s = self._held_s - waited_s
-        held_s = min(self.latency_s, left_s) + block_s * DRIFT
-        self._held_s = self.latency_s + block_s if left_s < 0 else held_s
-        return left_s < 0
-
-
-# A trigger for other recorders, by PsychoPy's own classes.
 
 LOOK_S = 0.0005  # between two looks at whether the onset is known, and whether it is there
 SPIN_S = 0.002  # before an onset, within which there is no sleep
@@ -452,8 +346,7 @@ class Trigger:
     """Sends a code to a port at each onset, in a thread of its own, and 0 a little later; clock: the session's."""
 
     def __init__(self, table: TriggerTable, clock: SessionClock) -> None:
-        self._table, self._clock = table, clock
-        self._send = open_port(table)
+        self._table, self._clock, self._send = table, clock, open_port(table)
         self._watching: Thread | None = None
         self._is_over = False
         self.sent_s: float | None = None
@@ -467,25 +360,21 @@ class Trigger:
         self._watching.start()
 
     def leave(self) -> None:
-        """Wait no longer."""
+        """Wait no longer; a port that takes nothing may not hold up the session."""
         self._is_over = True
-        # A port that takes nothing may not hold up the session.
-        if self._watching is not None and not join(
-            self._watching, patience_s=CLOSING_S + self._table.duration_s
-        ):
+        patience_s = CLOSING_S + self._table.duration_s
+        if self._watching is not None and not join(self._watching, patience_s=patience_s):
             self.error = f"trigger on {self._table.address}: the port takes nothing"
 
     def _run(self, find_onset: Callable[[], float | None]) -> None:
         while not self._is_over:
             onset_s = find_onset()
-            left_s = LOOK_S if onset_s is None else onset_s - self._clock()
-            if onset_s is not None and left_s <= 0:
-                self._pulse()
-                return
-            if left_s > SPIN_S or onset_s is None:
+            if onset_s is None or onset_s - self._clock() > SPIN_S:
                 sleep(LOOK_S)
-
-    def _pulse(self) -> None:
+            elif onset_s <= self._clock():
+                break
+        else:
+            return
         try:
             self._send(self._table.code)
             self.sent_s = self._clock()

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.study.actuator import faults
 from feel321.study.actuator.calibrate import find_allowed
-from feel321.study.actuator.certificate import MEASURED, Certificate, CoilCertificate
+from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
-from feel321.study.actuator.faults import RATES, Diagnosis, find_hum, find_sensor_fault
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import Response, Sweep, find_inside, make_sweep, measure_sweep
@@ -29,19 +29,17 @@ RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
 PULSE_S = 0.02
 PULSE_HZ = 250.0  # where skin is most sensitive
 PULSE_LEVEL = 0.1  # of full scale or of the peak that the rig allows, whichever is less
-# Least correlation of a sensed pulse with what was sent. From 8 to 48 kHz, white noise reached 0.33 and a click 0.18;
-# pulses through coils with resonances from 40 to 400 Hz and Q up to 8 stayed above 0.8.
-LIKENESS = 0.5
+LIKENESS = (
+    0.5  # of a sensed pulse with what was sent: white noise reached 0.33, pulses through coils 0.8
+)
 GAPS_S = (0.1, 0.113, 0.127, 0.139, 0.151)  # uneven, out of step with the device's blocks
 
 
 def survey_devices() -> list[dict[str, Any]]:
-    """List the devices: name, host API, channels, the rates at which each would play, and whether it is a program."""
+    """List the devices, and the rates at which each would play."""
     devices = list_devices()
     if not devices:
-        raise OSError(
-            'doctor: no audio device found; plug one in, or play to files: name = "file" in rig.toml'
-        )
+        raise OSError('doctor: no audio device found; plug one in, or take the device "file"')
     return [
         {
             "name": device.name,
@@ -53,9 +51,6 @@ def survey_devices() -> list[dict[str, Any]]:
         }
         for device in devices
     ]
-
-
-# Pulses: latency, jitter and failures.
 
 
 def examine_rig(
@@ -103,9 +98,8 @@ def _describe_delays(name: str, delays_ms: Sequence[float]) -> dict[str, float |
         middle = float(np.median(delays_ms))
         apart = np.abs(np.asarray(delays_ms) - middle)
         found = [middle, *map(float, np.percentile(apart, [50, 99]))]
-    return dict(
-        zip((f"{name}_ms", f"{name}_jitter_ms", f"{name}_jitter_99_ms"), found, strict=True)
-    )
+    ends = ("ms", "jitter_ms", "jitter_99_ms")
+    return {f"{name}_{end}": value for end, value in zip(ends, found, strict=True)}
 
 
 def make_pulse(rig: Rig, *, rate_hz: float, seconds: float = PULSE_S) -> Frames:
@@ -132,8 +126,6 @@ def find_pulse(recorded: Frames | None, pulse: Frames) -> int | None:
     return first if norm and products[first] > LIKENESS * norm else None
 
 
-# Each coil by itself: a probe of sweeps, with a certificate or without.
-
 PROBE_HZ = (30.0, 800.0)
 PROBE_S, PAUSE_S = 0.8, 0.3
 PROBE_LEVEL = 0.2  # of what full scale and limits allow
@@ -149,23 +141,18 @@ AUDIBLE = 3.0  # ratio of a hum to the noise without it
 def probe_coils(
     rig: Rig, certificate: Certificate | None, *, rate_hz: float
 ) -> tuple[dict[str, dict[str, Any]], str]:
-    """Play a probe on each coil in turn, and find what is wrong with each; and a hum, while nothing plays.
-
-    level_m_s2: median response at full scale; delay_ms: since it was sent.
-    """
-    high_hz = min(PROBE_HZ[1], rate_hz / 4)
+    """Play a probe on each coil in turn, and find what is wrong with each; and a hum, while nothing plays."""
     sweep = Sweep(
         rate_hz=rate_hz,
-        band_hz=(PROBE_HZ[0], high_hz),
+        band_hz=(PROBE_HZ[0], min(PROBE_HZ[1], rate_hz / 4)),
         duration_s=PROBE_S,
         pause_s=PAUSE_S + 2 * rig.device.latency_s,  # there and back
         n_repeats=2,
         peak=1.0,
     )
-    asked, found = make_sweep(sweep), dict[str, dict[str, Any]]()
+    asked, found, sensor = make_sweep(sweep), dict[str, dict[str, Any]](), require_sensor(rig)
     known = certificate if certificate and certificate.method == MEASURED else None
-    is_seen = len(require_sensor(rig).inputs) == len(AXES)
-    diagnosis = Diagnosis(known, rig) if known and is_seen else None
+    diagnosis = faults.Diagnosis(known, rig) if known and len(sensor.inputs) == len(AXES) else None
     if diagnosis is not None:
         diagnosis.lag = None  # a stream that was opened anew has not the certificate's latency
     with open_bench(rig, rate_hz=rate_hz, n_longest=len(asked)) as bench:
@@ -173,13 +160,12 @@ def probe_coils(
         for actuator in rig.actuators:
             peak = PROBE_LEVEL * find_allowed(rig, actuator)
             if known:
-                peak = min(
-                    peak, _find_safe(rig, known.coils[actuator.name], asked, rate_hz=rate_hz)
-                )
+                motion = known.coils[actuator.name].respond(asked, rate_hz=rate_hz)
+                safe = SAFE * min(rig.limits.peak_m_s2, sensor.full_scale_m_s2)
+                peak = min(peak, safe / float(np.abs(motion).max()))
             recorded = bench.play({actuator.channel: peak * asked}, n=len(asked))
-            seen = None
-            if np.ptp(recorded):
-                seen = measure_sweep(replace(sweep, peak=peak), recorded)
+            own = replace(sweep, peak=peak)
+            seen = measure_sweep(own, recorded) if np.ptp(recorded) else None
             if diagnosis:
                 # One sweep only: a converter at another rate need not stretch the pause before the second.
                 sent = np.zeros((sweep.period, rig.n_channels), dtype=np.float32)
@@ -192,40 +178,26 @@ def probe_coils(
     return found, _find_hum(silence, rate_hz=rate_hz)
 
 
-def _find_safe(rig: Rig, coil: CoilCertificate, asked: Samples, *, rate_hz: float) -> float:
-    motion = float(np.abs(coil.respond(asked, rate_hz=rate_hz)).max())
-    return SAFE * min(rig.limits.peak_m_s2, require_sensor(rig).full_scale_m_s2) / motion
-
-
 def _find_hum(silence: Samples, *, rate_hz: float) -> str:
     still = silence - silence.mean(axis=1, keepdims=True)
-    hum_hz = find_hum(still, rate_hz=rate_hz, size=0.0)
-    if not hum_hz:
-        return ""
-    wave = np.exp(-2j * np.pi * hum_hz * np.arange(still.shape[1]) / rate_hz)
-    rms = math.sqrt(2) * float(np.linalg.norm(still @ wave)) / still.shape[1]
-    whole = float(np.sqrt(np.mean(np.square(still).sum(axis=0))))
-    if rms < AUDIBLE * math.sqrt(max(whole**2 - rms**2, 0.0)):
-        return ""
-    return f"hum of {hum_hz:.0f} Hz, {rms:.2g} m/s²: a ground loop, or cables beside the mains"
+    hum_hz, rms = faults.find_hum(still, rate_hz=rate_hz, size=0.0)
+    rest = float(np.mean(np.square(still).sum(axis=0))) - rms**2
+    is_heard = hum_hz and rms >= AUDIBLE * math.sqrt(max(rest, 0.0))
+    return faults.describe_hum(hum_hz, rms) if is_heard else ""
 
 
 def _describe(seen: Response | None) -> dict[str, Any]:
+    """Describe a probe; level_m_s2: median response at full scale; delay_ms: since it was sent."""
     if seen is None:
-        return {
-            "level_m_s2": 0.0,
-            "direction": [],
-            "delay_ms": None,
-            "distortion": None,
-            "coherence": 0.0,
-        }
+        none = {"delay_ms": None, "distortion": None}
+        return {"level_m_s2": 0.0, "direction": [], "coherence": 0.0, **none}
     inside = find_inside(seen.frequency_hz, band_hz=seen.band_hz)
     return {
         "level_m_s2": float(np.median(np.abs(seen.response[inside]))),
         "direction": seen.direction.tolist(),
+        "coherence": float(np.median(seen.coherence[inside])),
         "delay_ms": 1e3 * seen.latency / seen.rate_hz,
         "distortion": float(np.nanmedian(seen.distortion[inside])),
-        "coherence": float(np.median(seen.coherence[inside])),
     }
 
 
@@ -233,7 +205,9 @@ def find_fault(
     rig: Rig, actuator: ActuatorTable, seen: Response | None, *, recorded: Samples, sent: Samples
 ) -> str:
     """Name what is wrong with a coil that has no certificate, by what its probe moved."""
-    if fault := find_sensor_fault(recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2):
+    if fault := faults.find_sensor_fault(
+        recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2
+    ):
         return fault
     probe = _describe(seen)
     if seen is None or probe["coherence"] < SEEN:
@@ -241,7 +215,7 @@ def find_fault(
             f"dead: no motion follows the probe (coherence {probe['coherence']:.2f}, expected {SEEN:g} or more); check "
             "coil, cable, amplifier, its channel in rig.toml, and the sensor"
         )
-    if fault := find_turned(rig, actuator, seen):
+    if fault := _find_turned(rig, actuator, seen.direction):
         return fault
     low, high = actuator.full_scale_m_s2 / STRENGTH, actuator.full_scale_m_s2 * STRENGTH
     if not low < probe["level_m_s2"] < high:
@@ -254,28 +228,25 @@ def find_fault(
     return ""
 
 
-def find_turned(rig: Rig, actuator: ActuatorTable, seen: Response) -> str:
+def _find_turned(rig: Rig, actuator: ActuatorTable, seen: Samples) -> str:
     """Name a coil that is inverted, or moves as another one should, by the directions of rig.toml."""
     typed, _ = find_directions(rig)
-    own = typed.get(actuator.name)
-    if own is None or len(seen.direction) != len(own) or seen.direction @ own > LIKELY:
+    own = typed.pop(actuator.name, None)
+    if own is None or len(seen) != len(own) or seen @ own > LIKELY:
         return ""
-    if seen.direction @ own < -LIKELY:
+    if seen @ own < -LIKELY:
         return "inverted: exchange its wires"
-    others = {
-        name: float(seen.direction @ one) for name, one in typed.items() if name != actuator.name
-    }
-    moved = [name for name, along in others.items() if abs(along) > SHARED]
-    if len(moved) == 1 and abs(others[moved[0]]) > LIKELY:
-        return (
-            f"{actuator.name} and {moved[0]} swapped, or on one channel: its probe moves {moved[0]}"
-        )
-    if moved and abs(seen.direction @ own) < SHARED:
+    others = {name: abs(float(seen @ one)) for name, one in typed.items()}
+    moved = [name for name, along in others.items() if along > SHARED]
+    if len(moved) == 1 and others[moved[0]] > LIKELY:
+        other = moved[0]
+        return f"{actuator.name} and {other} swapped, or on one channel: its probe moves {other}"
+    if moved and abs(seen @ own) < SHARED:
         return (
             f"dead, its samples move {' and '.join(moved)}: the sink lacks channel {actuator.channel}; give it as many "
             "as the rig has"
         )
-    return f"moves along {np.round(seen.direction, 2).tolist()}, rig.toml says {np.round(own, 2).tolist()}"
+    return f"moves along {np.round(seen, 2).tolist()}, rig.toml says {np.round(own, 2).tolist()}"
 
 
 def _find_rate(sent: Samples, recorded: Samples, *, rate_hz: float) -> str:
@@ -290,9 +261,5 @@ def _find_rate(sent: Samples, recorded: Samples, *, rate_hz: float) -> str:
         cross = np.fft.irfft(np.fft.rfft(strongest, n) * np.fft.rfft(played, n).conj(), n)
         return float(np.abs(cross).max()) / max(size * float(np.linalg.norm(played)), 1e-30)
 
-    best = max((1.0, *RATES), key=liken)
-    if best == 1 or liken(best) < 2 * liken(1.0):
-        return ""
-    return (
-        f"wrong rate: played at {best * rate_hz:.0f} Hz instead of {rate_hz:.0f} Hz; set the device"
-    )
+    best = max((1.0, *faults.RATES), key=liken)
+    return "" if best == 1 or liken(best) < 2 * liken(1.0) else faults.name_rate(best, rate_hz)

@@ -7,7 +7,7 @@ nothing explains is "unknown", with the figures. Coils in one direction cannot b
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -15,30 +15,28 @@ from scipy import fft, optimize
 
 from feel321.study.actuator.certificate import Certificate, CoilCertificate
 from feel321.study.actuator.mixer import Frames
-from feel321.study.actuator.response import Spectrum, find_inside
+from feel321.study.actuator.response import DB, Spectrum, find_inside
 from feel321.study.actuator.rig import Rig, require_sensor
 from feel321.types import Samples
 
 MAINS_HZ = (50.0, 60.0)
 RATES = (44100 / 48000, 48000 / 44100, 0.5, 2.0)  # of the converter over that of the samples
 CLIPPED = 0.999  # of the sensor's full scale
-FLAT = 6  # equal samples at a sensor's largest value are no chance
+FLAT = 6  # equal samples at a sensor's largest value may be a crest that was cut off
+LEAST_STEPS = 300  # different values of a signal that is not flat for want of resolution
+MOST_JUMP, MOST_CUT = 2.5, 5.0  # steps from a crest to its neighbour, and to where it would go on
 CLEAR = 5.0  # least ratio of the motion asked of a coil to the noise, for it to be judged
 PARALLEL = 0.9  # cosine between coils that a sensor cannot separate
 FOLLOWS = 0.5  # share of a coil's motion that must follow what was sent to it
 CLOSELY = 0.9  # less may be a resonance that rings at any rate: other rates are tried
 DEAD_DB = -20.0
 MOVED, DAMPED = 0.03, 0.3  # changes of a resonance and of its damping that count
-BETTER = (
-    0.5  # a cause explains a motion better if it leaves less than this share of what another leaves
-)
+BETTER = 0.5  # a better cause leaves less than this share of what another leaves unexplained
 LEAST_SWAPPED = 0.05  # of two coils' motion that does not follow what is sent to them
 LEAST_LEFT = 2e-4  # of a motion's energy: less is no reason to look for a cause
 DISTORTS = 0.02  # of the motion, beyond twice what the certificate knows
 LATE_S = 0.004  # change of a delay that counts
 BLOCKS = 4  # of which the latency of a stream consists, at most
-FARTHEST_S = 0.06  # of a coil's own delay from the common one
-LEAST_STEPS = 1000  # different values of a signal that is not flat for want of resolution
 N_HUMS = 2
 HUM_SHARE, HUM_LINE = 0.01, 4.0  # a hum's RMS over that of the motion, and over its surroundings
 SURE = 3.0  # standard errors
@@ -47,32 +45,31 @@ COARSE_HZ = 8000.0  # rate at which lags are found
 RINGING_S = 0.2  # after the samples
 KNOTS = 6  # per octave, of the smooth response that is no distortion
 TINY = 1e-30
-DB = 20 / math.log(10)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
     """How a coil answered: gain, sign, resonance and damping (as factors) against its certificate.
 
-    lag: samples since the onset was sent, the coil's own apart; left: share of the motion's energy that is not
-    explained; error_db: standard error of gain_db.
+    asked: its motion by the certificate, with that resonance and damping. lag: samples since the onset was sent, the
+    coil's own apart. left: share of the motion's energy that is not explained. error_db: standard error of gain_db.
     """
 
+    asked: Spectrum
     gain_db: float
     sign: int
     lag: float
     left: float
     error_db: float
-    resonance: float = 1.0
-    damping: float = 1.0
+    resonance: float
+    damping: float
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
     """What one coil, or several in one direction, did in a playback, and how that fits what was sent to it.
 
-    noise: over what was asked of it; distortion: what no linear response explains, over the motion. level_db: of all
-    its motion over what was asked.
+    distortion: what no linear response explains, over the motion. level_db: of all its motion over what was asked.
     """
 
     name: str
@@ -82,14 +79,6 @@ class Motion:
     level_db: float
     is_asked: bool
     is_moving: bool
-
-    def describe(self) -> str:
-        """Say its figures in one line."""
-        fit = self.fit
-        return (
-            f"{self.name} gain {fit.gain_db:+.1f} dB, resonance x {fit.resonance:.2f}, damping x {fit.damping:.2f}, "
-            f"distortion {self.distortion:.0%}, {fit.left:.0%} of the motion unexplained"
-        )
 
 
 def energy(spectrum: Spectrum) -> float:
@@ -118,12 +107,11 @@ def find_resonance(coil: CoilCertificate) -> tuple[float, float]:
         level = 2 * np.log(at_hz) - np.log(np.abs(_swing(at_hz, *np.exp(x[:2]))))
         return np.asarray((size - x[2] - level) / np.sqrt(at_hz))
 
-    starts = (float(at_hz[int(np.argmax(size))]), 80.0, 160.0)
     found = [
         optimize.least_squares(
             miss, [math.log(start_hz), 0.5, float(np.median(size))], loss="soft_l1", f_scale=0.02
         )
-        for start_hz in starts
+        for start_hz in (float(at_hz[int(np.argmax(size))]), 80.0, 160.0)
     ]
     resonance_hz, q = np.exp(min(found, key=lambda one: float(one.cost)).x[:2])
     return float(resonance_hz), float(q)
@@ -142,13 +130,10 @@ class Scene:
     def __init__(
         self, certificate: Certificate, sent: Frames, measured: Samples, *, rate: float = 1.0
     ) -> None:
-        self.certificate, self.rate_hz = certificate, certificate.rate_hz
+        self.rate_hz, self.n = certificate.rate_hz, max(len(sent), measured.shape[1])
         self._coarse = max(int(self.rate_hz / COARSE_HZ), 1)
-        self.n = max(len(sent), measured.shape[1])
-        n_coarse = fft.next_fast_len(
-            round(self.n / self._coarse + RINGING_S * COARSE_HZ), real=True
-        )
-        self.n_grid = self._coarse * n_coarse
+        n_coarse = round(self.n / self._coarse + RINGING_S * COARSE_HZ)
+        self.n_grid = self._coarse * fft.next_fast_len(n_coarse, real=True)
         grid_hz = fft.rfftfreq(self.n_grid, 1 / self.rate_hz)
         band_hz = (max(20.0, certificate.band_hz[0]), min(1000.0, certificate.band_hz[1]))
         self._inside = np.flatnonzero(find_inside(grid_hz, band_hz=band_hz))
@@ -159,18 +144,14 @@ class Scene:
         self.actual = dict(zip(self.groups, self.transform(self.moved), strict=True))
         frames = np.asarray(sent, dtype=np.float64)
         if rate != 1:
-            place = np.arange(self.n) * rate
-            frames = np.stack(
-                [np.interp(place, np.arange(len(sent)), one, right=0.0) for one in frames.T], axis=1
-            )
+            place, given = np.arange(self.n) * rate, np.arange(len(sent))
+            frames = np.stack([np.interp(place, given, one, right=0.0) for one in frames.T], axis=1)
         self.sent = {one.name: frames[:, one.channel - 1] for one in certificate.coils.values()}
         self._first = min(one.latency for one in certificate.coils.values())
         self.asked = {
-            (own, other): self.expect(
-                own, {one.name: self.sent[one.name] for one in self.groups[other]}
-            )
+            (own, other): self.expect(own, {one.name: self.sent[one.name] for one in coils})
             for own in self.groups
-            for other in self.groups
+            for other, coils in self.groups.items()
         }
         self.lag, self.follows = self._find_lag()
         self.asked = {pair: self.shift(one, self.lag) for pair, one in self.asked.items()}
@@ -208,18 +189,11 @@ class Scene:
         return place * self._coarse, float(total[place] / max(whole, TINY))
 
     def _correlate(self, cross: Spectrum) -> Samples:
-        """Make a correlation over coarse lags of a cross-spectrum: at 0 its sum."""
         n = self.n_grid // self._coarse
         spectrum = np.zeros(n // 2 + 1, dtype=np.complex128)
         spectrum[self._inside] = cross
         found: Samples = fft.irfft(spectrum, n) * n / 2
         return found
-
-    def find_own_delay(self, group: str) -> int:
-        """Find by how many samples a coil is later than the common lag."""
-        most = round(FARTHEST_S * self.rate_hz / self._coarse)
-        found = self._correlate(self.actual[group] * self.asked[group, group].conj())
-        return (int(np.argmax(np.abs(np.roll(found, most)[: 2 * most + 1]))) - most) * self._coarse
 
     def find_noise(self, group: str) -> float:
         """Find the energy of a coil's noise in the band: that before the onset, or the certificate's."""
@@ -230,9 +204,7 @@ class Scene:
             power = max(power, 2 * energy(self.transform(quiet)) / self.n_grid / n_quiet)
         return float(np.nan_to_num(power) * self.n * self.n_grid / 2)
 
-    def find_left(
-        self, measured: Samples, lines_hz: Sequence[float] = ()
-    ) -> tuple[Samples, Samples]:
+    def find_left(self, measured: Samples, lines_hz: Sequence[float]) -> tuple[Samples, Samples]:
         """Find what of the measured axes, (3, n), no linear response explains, and the lines beside it."""
         n = measured.shape[1]
         turns = 2 * np.pi * np.outer(lines_hz, np.arange(n) / self.rate_hz)
@@ -240,12 +212,12 @@ class Scene:
         follow = np.zeros((len(self.groups), self.n_grid // 2 + 1), dtype=np.complex128)
         lines = np.zeros((len(self.groups), n))
         for row, name in enumerate(self.groups):
-            follow[row, self._inside], size = self._follow(name, self.asked[name, name], columns)
+            follow[row, self._inside], size = self.follow(name, self.asked[name, name], columns)
             lines[row] = size.real @ np.cos(turns) - size.imag @ np.sin(turns)
         moved = self._directions @ fft.irfft(follow, self.n_grid)[:, :n]
         return measured - moved, self._directions @ lines
 
-    def _follow(self, group: str, asked: Spectrum, lines: Spectrum) -> tuple[Spectrum, Spectrum]:
+    def follow(self, group: str, asked: Spectrum, lines: Spectrum) -> tuple[Spectrum, Spectrum]:
         """Fit a response that is smooth over frequency, and lines, to a motion: what follows, and the lines' sizes."""
         octaves = np.log2(self.at_hz)
         knots = np.linspace(octaves[0], octaves[-1], round(KNOTS * (octaves[-1] - octaves[0])) + 2)
@@ -255,32 +227,21 @@ class Scene:
         n = len(knots)
         return np.asarray(columns[:, :n] @ weights[:n]), weights[n:]
 
-    def find_rest(self, group: str, asked: Spectrum) -> Spectrum:
-        """Find what of a motion no smooth response explains."""
-        follows, _ = self._follow(group, asked, np.zeros((0, len(asked)), dtype=np.complex128))
-        return np.asarray(self.actual[group] - follows)
-
-    def reshape(self, asked: Spectrum, swings: tuple[float, float], fit: Fit) -> Spectrum:
-        """Change what is asked of a coil as its resonance and damping changed."""
-        own = _swing(self.at_hz, swings[0] * fit.resonance, swings[1] / fit.damping)
-        return np.asarray(asked * _swing(self.at_hz, *swings) / own)
-
     def fit(self, group: str, asked: Spectrum, *, swings: tuple[float, float] | None = None) -> Fit:
         """Fit gain, sign and lag of a coil to its motion; with its resonance and Q, changes of these too."""
         actual, size = self.actual[group], math.sqrt(max(energy(self.actual[group]), TINY))
         start = complex(np.vdot(asked, actual)) / max(energy(asked), TINY)
         sign = -1 if start.real < 0 else 1
-        before = None if swings is None else _swing(self.at_hz, *swings)
 
-        def model(x: Samples) -> Spectrum:
-            turned = sign * np.exp(x[0] - 2j * np.pi * self.at_hz * x[1] / 1e3)
-            if before is None or swings is None:
-                return np.asarray(turned * asked)
+        def reshape(x: Samples) -> Spectrum:
+            if swings is None:
+                return asked
             own = _swing(self.at_hz, swings[0] * math.exp(x[2]), swings[1] * math.exp(-x[3]))
-            return np.asarray(turned * asked * before / own)
+            return np.asarray(asked * _swing(self.at_hz, *swings) / own)
 
         def miss(x: Samples) -> Samples:
-            return np.asarray((actual - model(x)) / size).view(np.float64)
+            turned = sign * np.exp(x[0] - 2j * np.pi * self.at_hz * x[1] / 1e3)
+            return np.asarray((actual - turned * reshape(x)) / size).view(np.float64)
 
         n_free = 2 if swings is None else 4
         low, high = [-12.0, -2.0, -1.0, -2.0], [5.0, 2.0, 1.0, 2.0]
@@ -291,14 +252,11 @@ class Scene:
             bounds=(low[:n_free], high[:n_free]),
             x_scale=[0.1, 0.1, 0.05, 0.2][:n_free],
         )
-        spread = (
-            np.linalg.pinv(np.asarray(found.jac).T @ np.asarray(found.jac))
-            * 2
-            * found.cost
-            / len(self.at_hz)
-        )
-        x = [*found.x, 0.0, 0.0]
+        jacobian = np.asarray(found.jac)
+        spread = np.linalg.pinv(jacobian.T @ jacobian) * 2 * found.cost / len(self.at_hz)
+        x = np.array([*found.x, 0.0, 0.0])
         return Fit(
+            asked=reshape(x),
             gain_db=DB * float(x[0]),
             sign=sign,
             lag=self.lag + float(x[1]) * self.rate_hz / 1e3,
@@ -312,9 +270,8 @@ class Scene:
 class Diagnosis:
     """Judges the playbacks of a rig with a measured certificate and a three-axis sensor.
 
-    lag: of the last playback, in samples; None where it is not known, as after a device ran
-    dry. motions: of the last playback that was judged, by coil. is_grave: whether a fault of it may have been felt:
-    not if each coil did what was sent to it, within tolerance_db (None for any) and the rig's own `max_distortion`.
+    lag, motions: of the last playback, in samples, and by coil. is_grave: whether a fault of it may have been felt: not
+    if each coil did what was sent to it, within tolerance_db (None for any) and the rig's own `max_distortion`.
     """
 
     def __init__(
@@ -322,9 +279,7 @@ class Diagnosis:
     ) -> None:
         self.certificate, self.is_grave = certificate, False
         self._tolerance_db = math.inf if tolerance_db is None else tolerance_db
-        self._most_distortion = rig.calibration.max_distortion
-        self._full_scale = require_sensor(rig).full_scale_m_s2
-        self._limit_db = rig.calibration.max_drift_db
+        self._settings, self._full_scale = rig.calibration, require_sensor(rig).full_scale_m_s2
         groups = group_coils(certificate)
         self._resonances = {name: find_resonance(group[0]) for name, group in groups.items()}
         self._distorts = {
@@ -343,10 +298,10 @@ class Diagnosis:
             return fault
         measured = measured - measured.mean(axis=1, keepdims=True)
         scene = Scene(self.certificate, sent, measured)
-        left, hum = scene.find_left(measured)
+        left, hum = scene.find_left(measured, [])
         # Harmonics of what was asked at 25 or 30 Hz are no hum.
         least = max(HUM_SHARE, *self._distorts.values())
-        hum_hz = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured) * least / HUM_SHARE)
+        hum_hz, _ = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured) * least / HUM_SHARE)
         for _ in range(N_HUMS if hum_hz else 0):  # a strong one hides what it is to be told from
             more = scene.find_left(measured, [k * hum_hz for k in range(1, 6)])[1]
             measured, hum = measured - more, hum + more
@@ -357,33 +312,21 @@ class Diagnosis:
         is_within = all(map(self._is_within, self.motions.values()))
         self.is_grave = bool(found) and (is_swapped or not is_within)
         if hum_hz and scene.follows > FOLLOWS and not is_swapped:
-            found.append(
-                f"hum of {hum_hz:.0f} Hz, {_rms(hum):.2g} m/s²: a ground loop, or cables beside the mains"
-            )
+            found.append(describe_hum(hum_hz, _rms(hum)))
         return "; ".join(found)
 
     def _find_motion(self, scene: Scene, name: str) -> Motion:
-        asked, noise, moved = (
-            scene.asked[name, name],
-            scene.find_noise(name),
-            energy(scene.actual[name]),
-        )
+        asked, noise = scene.asked[name, name], scene.find_noise(name)
+        moved = energy(scene.actual[name])
         level_db = DB / 2 * math.log(max(moved - noise, TINY) / max(energy(asked), TINY))
-        is_asked = energy(asked) > CLEAR**2 * noise
+        is_asked, is_moving = (one > CLEAR**2 * noise for one in (energy(asked), moved))
         fit = scene.fit(name, asked)
-        if is_asked and fit.left > FOLLOWS:
-            late = scene.find_own_delay(name)
-            asked = scene.shift(asked, late)
-            fit = scene.fit(name, asked)
-            fit = replace(fit, lag=fit.lag + late)
         if max(LEAST_LEFT, 2 * noise / max(moved, TINY)) < fit.left < FOLLOWS:
             full = scene.fit(name, asked, swings=self._resonances[name])
-            if full.left < BETTER * fit.left:
-                fit = replace(full, lag=full.lag + fit.lag - scene.lag)
-                asked = scene.reshape(asked, self._resonances[name], fit)
-        rest = max(energy(scene.find_rest(name, asked)) - noise, 0.0)
-        distortion = math.sqrt(rest / max(moved, TINY))
-        is_moving = moved > CLEAR**2 * noise
+            fit = full if full.left < BETTER * fit.left else fit
+        no_lines = np.zeros((0, len(asked)), dtype=np.complex128)
+        rest = scene.actual[name] - scene.follow(name, fit.asked, no_lines)[0]
+        distortion = math.sqrt(max(energy(rest) - noise, 0.0) / max(moved, TINY))
         return Motion(name, fit, noise, distortion, level_db, is_asked, is_moving)
 
     def _is_within(self, motion: Motion) -> bool:
@@ -393,7 +336,7 @@ class Diagnosis:
             and fit.sign > 0
             and fit.left < FOLLOWS
             and max(abs(fit.gain_db), abs(motion.level_db)) <= self._tolerance_db
-            and motion.distortion <= self._most_distortion
+            and motion.distortion <= self._settings.max_distortion
         )
 
     def _find_causes(self, scene: Scene, sent: Frames, measured: Samples) -> Iterator[str]:
@@ -401,27 +344,22 @@ class Diagnosis:
         if not asked:
             return
         if not any(one.is_moving for one in self.motions.values()):
-            names = " and ".join(one.name for one in asked)
             # Of one coil alone nothing is known of the others, which may well move.
-            is_all = len(asked) == len(self.motions)
-            where = (
-                "amplifier, coils, and how the sensor is held"
-                if is_all
-                else "cable, amplifier, and its channel, which the sink may lack"
-            )
+            where = "cable, amplifier, and its channel, which the sink may lack"
+            if len(asked) == len(self.motions):
+                where = "amplifier, coils, and how the sensor is held"
+            names = " and ".join(one.name for one in asked)
             yield f"{names}: dead: the sensor shows noise only; check {where}"
             return
-        if scene.follows < CLOSELY and (rate := self._find_rate(scene, sent, measured)):
-            yield rate
+        if whole := self._find_rate(scene, sent, measured) or self._find_swap(scene):
+            yield whole
             return
-        if swapped := self._find_swap(scene):
-            yield swapped
-            return
-        causes = {one.name: self._find_cause(scene, one) for one in self.motions.values()}
+        causes = {one.name: next(self._list_causes(scene, one), "") for one in asked}
         told = {name: cause for name, cause in causes.items() if cause}
         gains = [one.fit.gain_db for one in asked]
-        is_common = len(told) == len(asked) > 1 and max(gains) - min(gains) < self._limit_db
-        if is_common and all(one.startswith("gain") for one in told.values()):
+        is_common = max(gains) - min(gains) < self._settings.max_drift_db
+        is_common &= all(cause.startswith("gain") for cause in causes.values())
+        if is_common and len(told) > 1:
             told = {"all coils": f"gain {np.mean(gains):+.1f} dB: the amplifier's or the sensor's"}
         yield from (f"{name}: {cause}" for name, cause in told.items())
         if not told:
@@ -429,14 +367,14 @@ class Diagnosis:
 
     def _find_rate(self, scene: Scene, sent: Frames, measured: Samples) -> str:
         """Name a converter that runs at another rate; else what is known, or nothing if most follows."""
-        others = {
-            rate: Scene(self.certificate, sent, measured, rate=rate).follows for rate in RATES
-        }
+        if scene.follows >= CLOSELY:
+            return ""
+        own = self.certificate
+        others = {rate: Scene(own, sent, measured, rate=rate).follows for rate in RATES}
         rate = max(others, key=others.__getitem__)
         if others[rate] > FOLLOWS and 1 - others[rate] < BETTER * (1 - scene.follows):
-            played_hz = rate * scene.rate_hz
-            return f"wrong rate: played at {played_hz:.0f} Hz instead of {scene.rate_hz:.0f} Hz; set the device"
-        return self._say_unknown(self.motions.values()) if scene.follows < FOLLOWS else ""
+            return name_rate(rate, scene.rate_hz)
+        return _describe_unknown(self.motions.values()) if scene.follows < FOLLOWS else ""
 
     def _find_swap(self, scene: Scene) -> str:
         """Name the pair of coils that do what is sent to the other."""
@@ -444,7 +382,6 @@ class Diagnosis:
         straight = {name: self.motions[name].fit.left * size for name, size in moved.items()}
 
         def leave(pair: tuple[str, str]) -> float:
-            """Add up what is left of all motion if two coils are exchanged."""
             left = straight.copy()
             for own, other in (pair, pair[::-1]):
                 asked = scene.asked[own, other]
@@ -452,8 +389,7 @@ class Diagnosis:
                 left[own] = moved[own] * (scene.fit(own, asked).left if is_asked else 1.0)
             return sum(left.values())
 
-        before = sum(straight.values())
-        pairs = list(combinations(scene.groups, 2))
+        before, pairs = sum(straight.values()), list(combinations(scene.groups, 2))
         if not pairs or before < LEAST_SWAPPED * sum(moved.values()):
             return ""
         best = min(pairs, key=leave)
@@ -461,20 +397,17 @@ class Diagnosis:
             return ""
         return f"{' and '.join(best)} swapped: each moves by what is sent to the other; exchange their cables"
 
-    def _find_cause(self, scene: Scene, motion: Motion) -> str:
-        """Name what is wrong with one coil: the first of what there can be."""
-        return next(self._list_causes(scene, motion), "") if motion.is_asked else ""
-
     def _list_causes(self, scene: Scene, motion: Motion) -> Iterator[str]:
+        """Name what may be wrong with one coil, the likeliest first."""
         fit, name = motion.fit, motion.name
-        if fit.gain_db < DEAD_DB or not motion.is_moving:
+        if max(fit.gain_db, motion.level_db) < DEAD_DB or not motion.is_moving:
             yield f"dead ({fit.gain_db:.0f} dB); check its cable, its amplifier and its channel"
         if fit.sign < 0 and fit.left < FOLLOWS:
             yield "inverted: its wires were exchanged since the calibration"
         noise = math.sqrt(0.3 * motion.noise / max(energy(scene.actual[name]), TINY))
         if motion.distortion > math.hypot(self._distorts[name], noise):
             yield self._find_bend(scene, motion)
-        is_off = abs(fit.gain_db) > self._limit_db + SURE * fit.error_db
+        is_off = abs(fit.gain_db) > self._settings.max_drift_db + SURE * fit.error_db
         resonance_hz = self._resonances[name][0]
         now = f"resonance {resonance_hz:.0f} -> {resonance_hz * fit.resonance:.0f} Hz, damping x {fit.damping:.2f}"
         gain = f"gain {fit.gain_db:+.1f} dB"
@@ -503,11 +436,10 @@ class Diagnosis:
         if leave(best) < BETTER * motion.distortion**2:
             return f"clipping at {best * peak:.0%} of full scale, {told}; lower the level, or turn the amplifier up"
         if motion.fit.left > FOLLOWS:
-            return self._say_unknown([motion])
+            return _describe_unknown([motion])
         return f"rattle, {told}: something touches or is loose; fasten it"
 
     def _find_delay(self, lags: Sequence[float], rate_hz: float) -> Iterator[str]:
-        """Name a delay that moved since the last playback."""
         before, self.lag = self.lag, float(np.median(lags))
         if before is not None and LATE_S < abs(self.lag - before) / rate_hz < self._most_s:
             yield (
@@ -515,9 +447,25 @@ class Diagnosis:
                 "holds more or less than before"
             )
 
-    @staticmethod
-    def _say_unknown(motions: Iterable[Motion]) -> str:
-        return f"unknown cause, and the figures are: {', '.join(one.describe() for one in motions)}"
+
+def _describe_unknown(motions: Iterable[Motion]) -> str:
+    figures = (
+        f"{one.name} gain {one.fit.gain_db:+.1f} dB, resonance x {one.fit.resonance:.2f}, damping x "
+        f"{one.fit.damping:.2f}, distortion {one.distortion:.0%}, {one.fit.left:.0%} of the motion unexplained"
+        for one in motions
+    )
+    return f"unknown cause, and the figures are: {', '.join(figures)}"
+
+
+def name_rate(rate: float, rate_hz: float) -> str:
+    """Name the rate of a converter over that of the samples."""
+    rates = f"{rate * rate_hz:.0f} Hz instead of {rate_hz:.0f} Hz"
+    return f"wrong rate: played at {rates}; set the device"
+
+
+def describe_hum(hum_hz: float, rms: float) -> str:
+    """Name a hum and where it comes from."""
+    return f"hum of {hum_hz:.0f} Hz, {rms:.2g} m/s²: a ground loop, or cables beside the mains"
 
 
 def _rms(motion: Samples) -> float:
@@ -532,25 +480,35 @@ def find_sensor_fault(measured: Samples, *, full_scale_m_s2: float) -> str:
     if silent:
         return f"sensor dead on {' and '.join(silent)}: every sample is the same; check its cable and channel"
     for own in measured:
-        size = np.abs(own)
-        peak = float(size.max())
-        edges = np.flatnonzero(
-            np.diff(np.concatenate([[False], size >= peak * (1 - 1e-6), [False]]))
-        )
-        begins, ends = edges[::2], edges[1::2]
-        # A quiet signal of few steps is flat by itself, and so is the smooth crest of a slow one, which is left by one
-        # step or two.
-        steps, around = np.unique(size), np.pad(size, 1, constant_values=peak)
-        jumps = peak - np.minimum(around[begins], around[ends + 1])
-        is_cut = (ends - begins >= FLAT) & (jumps > 2.5 * np.diff(steps).min(initial=peak))
-        is_flat = is_cut.any() and len(steps) > LEAST_STEPS
-        if is_flat or peak >= CLIPPED * full_scale_m_s2:
+        peak = float(np.abs(own).max())
+        if _is_cut(np.abs(own), peak) or peak >= CLIPPED * full_scale_m_s2:
             return f"sensor saturated at {peak:.3g} m/s²: lower the gain of its input, and its full_scale_m_s2 with it"
     return ""
 
 
-def find_hum(left: Samples, *, rate_hz: float, size: float) -> float:
-    """Find the mains in what no coil explains, (3, n): its frequency in Hz, near 50 or 60; 0 for none."""
+def _is_cut(size: Samples, peak: float) -> bool:
+    """Say whether the crests of a signal are cut off, and not flat by curvature and resolution alone.
+
+    A parabola that falls by d within k samples beyond both ends of a flat top of n samples rises d n / 4k above it; of
+    a smooth crest that is two steps of the resolution at most.
+    """
+    is_top = np.concatenate([[False], size >= peak * (1 - 1e-6), [False]])
+    begins, ends = np.flatnonzero(np.diff(is_top)).reshape(-1, 2).T
+    steps, n_flat, last = np.unique(size), ends - begins, len(size) - 1
+
+    def fall(n_beside: Samples) -> tuple[Samples, Samples]:
+        before, after = np.maximum(begins - n_beside, 0), np.minimum(ends - 1 + n_beside, last)
+        return peak - size[before], peak - size[after]
+
+    step = float(np.diff(steps).min(initial=peak))
+    is_steep = np.maximum(*fall(np.ones_like(begins))) > MOST_JUMP * step
+    n_beside = np.maximum(n_flat // 4, 1)
+    is_bent = np.add(*fall(n_beside)) / 2 * n_flat / (4 * n_beside) > MOST_CUT * step
+    return bool((n_flat >= FLAT) @ (is_steep | is_bent)) and len(steps) > LEAST_STEPS
+
+
+def find_hum(left: Samples, *, rate_hz: float, size: float) -> tuple[float, float]:
+    """Find the mains in what no coil explains, (3, n): its frequency in Hz, near 50 or 60, or 0; and its RMS."""
     n = left.shape[1]
     time_s = np.arange(n) / rate_hz
 
@@ -565,5 +523,5 @@ def find_hum(left: Samples, *, rate_hz: float, size: float) -> float:
         at_hz = max(near, key=near.__getitem__)
         around = np.median([measure(mains_hz + k * width_hz) for k in (-2, -1, 1, 2)])
         if near[at_hz] > max(best, HUM_LINE * float(around)):
-            best_hz, best = at_hz, near[at_hz]
-    return float(best_hz)
+            best_hz, best = float(at_hz), near[at_hz]
+    return best_hz, best

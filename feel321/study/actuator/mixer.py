@@ -1,26 +1,22 @@
 """The mixer: stimuli, masking noise and limits, block by block, for the stream's callback.
 
-Frames are counted from the stream's begin. A stimulus that was asked for is scheduled when the next block is filled,
-so its onset is known to the sample. Filling a block allocates nothing that lasts.
-
-Samples within the limits pass bit for bit. Others are changed one by one, so that the outcome does not depend on how
-the stream is cut into blocks; NaN becomes silence.
+A stimulus that was asked for is scheduled when the next block is filled, so its onset is known to the sample. Filling a
+block allocates nothing that lasts. Samples within the limits pass bit for bit; others are changed one by one, so that
+the outcome does not depend on how the stream is cut into blocks.
 """
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.study.actuator.rig import MaskingTable, Rig
+from feel321.study.actuator.rig import Rig
 from feel321.types import Samples
 
 Frames = NDArray[np.float32]  # what is played: (n, channels), or (n,) of one channel
 Sounds = Mapping[str, Frames]
-
-# The last line of defence for skin and coil: peak, RMS of any second, and duration, across successive stimuli.
 
 WINDOW_S = 1.0  # over how long the RMS is taken
 PAUSE_S = 0.1  # rest of an actuator after which its duration is counted from 0 again
@@ -28,17 +24,12 @@ ROUNDING = 1e-9  # by which a window may exceed its energy: the rounding of sums
 
 
 class Limiter:
-    """Limits what one actuator is given."""
+    """The last line of defence for skin and coil: limits peak, RMS of any second, and duration for one actuator."""
 
     def __init__(
         self, rate_hz: float, *, peak: float, rms: float, duration_s: float, max_frames: int
     ) -> None:
-        self._window = round(WINDOW_S * rate_hz)
-        self._pause = round(PAUSE_S * rate_hz)
-        if max_frames > self._pause:
-            raise ValueError(
-                f"blocks must have at most {self._pause} frames, got {max_frames}: a pause spans blocks"
-            )
+        self._window, self._pause = round(WINDOW_S * rate_hz), round(PAUSE_S * rate_hz)
         self._peak = np.float32(min(peak, 1.0))
         self._energy_limit = float(rms) ** 2 * self._window * (1 + ROUNDING)
         self._longest = round(duration_s * rate_hz)
@@ -46,10 +37,10 @@ class Limiter:
         self._place = 0
         # Energy of the last second had nothing been limited since the ring began anew, and what was taken from it.
         self._walk = self._excess = 0.0
-        self._rest = self._pause  # frames since the last one that was not 0
-        self._run = 0  # frames since the last pause
-        self._new, self._sums, self._rises = np.empty((3, max_frames))
-        self._limited, self._given = np.empty((2, max_frames), dtype=np.float32)
+        # Frames since the last one that was not 0, and since the last pause.
+        self._rest, self._run = self._pause, 0
+        self._new, self._sums = np.empty((2, max_frames))
+        self._given = np.empty(max_frames, dtype=np.float32)
         self._differs = np.empty(max_frames, dtype=np.bool_)
 
     def limit(self, samples: Frames) -> int:
@@ -89,12 +80,8 @@ class Limiter:
         """Give each sample what the last second leaves of the energy.
 
         The energy of the last second is a walk E(i) = min(E(i-1) + d(i), limit), d being what is new less what is a
-        second old. That is the free walk S less the running maximum of what S exceeds the limit by [1]_; each rise of
-        the maximum is taken from the sample where it happens.
-
-        References
-        ----------
-        .. [1] Lindley, D. V. (1952). The theory of queues with a single server. doi:10.1017/S0305004100027638
+        second old. That is the free walk S less the running maximum of what S exceeds the limit by (Lindley 1952,
+        doi:10.1017/S0305004100027638); each rise of the maximum is taken from the sample where it happens.
         """
         n = len(samples)
         new, sums, old = self._new[:n], self._sums[:n], self._squares[self._place : self._place + n]
@@ -105,32 +92,18 @@ class Limiter:
         np.cumsum(sums, out=sums)
         self._walk = float(sums[-1])
         if sums.max() - self._energy_limit > self._excess:
-            self._take_excess(samples, new=new, sums=sums)
+            above = np.maximum(sums - self._energy_limit, self._excess)
+            rises = np.diff(np.maximum.accumulate(above), prepend=self._excess)
+            self._excess = float(above.max())
+            np.maximum(new - rises, 0, out=new)
+            limited = np.copysign(np.sqrt(new).astype(np.float32), samples)
+            np.copyto(samples, limited, where=rises > 0)
         np.copyto(old, new)
         self._place += n
         # Once per round the sum is taken afresh, or its rounding would grow for hours.
         if self._place == self._window:
             self._place, self._walk, self._excess = 0, float(self._squares.sum()), 0.0
 
-    def _take_excess(self, samples: Frames, *, new: Samples, sums: Samples) -> None:
-        n = len(samples)
-        excess, rises, limited, rising = sums, self._rises[:n], self._limited[:n], self._differs[:n]
-        np.subtract(sums, self._energy_limit, out=excess)
-        excess[0] = max(excess[0], self._excess)
-        np.maximum.accumulate(excess, out=excess)
-        np.subtract(excess[1:], excess[:-1], out=rises[1:])
-        rises[0] = excess[0] - self._excess
-        self._excess = float(excess[-1])
-        np.subtract(new, rises, out=new)
-        np.maximum(new, 0, out=new)
-        np.greater(rises, 0, out=rising)
-        np.sqrt(new, out=rises)
-        np.copyto(limited, rises, casting="same_kind")
-        np.copysign(limited, samples, out=limited)
-        np.copyto(samples, limited, where=rising)
-
-
-# Pink noise on headphones, so that a vibration is felt and not heard: it begins before and ends after it.
 
 LOOP_S = 20.0  # how long the noise is before it repeats: too long for a repetition to be heard
 LOWEST_HZ = 20.0  # below this nothing is heard
@@ -140,11 +113,8 @@ NEVER = 2**62  # a frame that no stream reaches
 def make_pink(rng: np.random.Generator, *, n_samples: int, rate_hz: float) -> Samples:
     """Make Gaussian noise, shape (n_samples,), whose power falls by 10 dB per decade from 20 Hz to half the rate.
 
-    It consists of whole periods, so that it repeats without a click.
-
-    References
-    ----------
-    .. [1] Timmer, J. and König, M. (1995). On generating power law noise. Astronomy and Astrophysics 300, 707-710.
+    It consists of whole periods, so that it repeats without a click (Timmer and König 1995, Astronomy and Astrophysics
+    300, 707-710).
     """
     frequencies = np.fft.rfftfreq(n_samples, 1 / rate_hz)
     audible = frequencies >= LOWEST_HZ
@@ -156,7 +126,7 @@ def make_pink(rng: np.random.Generator, *, n_samples: int, rate_hz: float) -> Sa
 
 
 class Masker:
-    """Noise that begins and ends in ramps, at frames of the stream; columns: the headphones' channels, from 0."""
+    """Noise on headphones (columns, from 0) that begins before a vibration and ends after it, in ramps."""
 
     def __init__(
         self,
@@ -228,12 +198,9 @@ class Masker:
             block[:, column] = noise
 
 
-# The mixer: everything that a stream's callback does, without a stream, in buffers that exist before it runs.
-
 BLOCK_FRAMES = 1024  # longer blocks are filled in pieces of this many frames
 PREROLL_S = 0.25  # silence before anything is scheduled: devices swallow what comes first
 STOP_S = 0.005  # fade of a stopped vibration, at most a block: cut off at once it would knock
-
 NOT_SCHEDULED = -1
 
 
@@ -245,8 +212,8 @@ class Cue:
     lead_frames: by how much its first sample is sent before the vibration begins.
     """
 
-    sound: Frames
-    gap_frames: int
+    sound: Frames = field(default_factory=lambda: np.zeros((0, 1), dtype=np.float32))
+    gap_frames: int = 0
     scale: float = 1.0
     first_frame: int = 0
     lead_frames: int = 0
@@ -276,21 +243,32 @@ class Mixer:
         self.frame = 0
         self._rate_hz, self._sounds, self._sync = rate_hz, sounds, rig.sync
         self._preroll = round(preroll_s * rate_hz)
-        self._block = min(BLOCK_FRAMES, round(PAUSE_S * rate_hz))
+        self._block = min(BLOCK_FRAMES, round(PAUSE_S * rate_hz))  # a pause spans blocks
+        limits = rig.limits
         self._limiters = [
             (
-                actuator.channel - 1,
+                one.channel - 1,
                 Limiter(
                     rate_hz,
-                    peak=rig.limits.peak_m_s2 / actuator.full_scale_m_s2,
-                    rms=rig.limits.rms_m_s2 / actuator.full_scale_m_s2,
-                    duration_s=rig.limits.duration_s,
+                    peak=limits.peak_m_s2 / one.full_scale_m_s2,
+                    rms=limits.rms_m_s2 / one.full_scale_m_s2,
+                    duration_s=limits.duration_s,
                     max_frames=self._block,
                 ),
             )
-            for actuator in rig.actuators
+            for one in rig.actuators
         ]
-        self._masker = rig.masking and _make_masker(rig.masking, rate_hz, max_frames=self._block)
+        self._masker: Masker | None = None
+        if masking := rig.masking:
+            rng = np.random.default_rng(masking.seed)
+            noise = make_pink(rng, n_samples=round(LOOP_S * rate_hz), rate_hz=rate_hz)
+            self._masker = Masker(
+                (masking.rms * noise).astype(np.float32),
+                columns=[channel - 1 for channel in masking.channels],
+                ramp_frames=round(masking.ramp_s * rate_hz),
+                lead_frames=round(masking.lead_s * rate_hz),
+                max_frames=self._block,
+            )
         self._sync_frames = max(round(rig.sync.duration_s * rate_hz), 1) if rig.sync else 0
         n_fade = max(round(STOP_S * rate_hz), 1)
         self._fade_steps = np.arange(1, n_fade + 1, dtype=np.float32)
@@ -307,34 +285,27 @@ class Mixer:
         scale: float = 1.0,
         goes_on: bool = False,
         lead_s: float = 0.0,
+        cue: Cue | None = None,
     ) -> Cue:
         """Ask for a stimulus, times `scale`; the one that is playing is stopped.
 
         goes_on: begin where the last one was stopped, which is faded in there as that one was faded out. lead_s: from
         its first sample to the vibration; it is taken from the gap, down to a pause that the limiter counts as one.
         """
-        if stimulus_id not in self._sounds:
-            raise ValueError(
-                f"the stimulus must be one of the {len(self._sounds)} that were loaded, got {stimulus_id!r}"
-            )
         self.stop()
-        sound = self._sounds[stimulus_id]
+        sound, last = self._sounds[stimulus_id], self._latest
         sound = sound if scale == 1 else sound * np.float32(scale)
-        first = self._find_place(len(sound)) if goes_on else 0
+        first = (last.first_frame + last.n_played) % len(sound) if goes_on and last else 0
         if first:
             sound = sound[first:].copy()
             n = min(len(sound), len(self._fade_steps))
             sound[:n] *= (self._fade_steps[:n] / np.float32(n))[:, None]
-        silence_s = max(gap_s - lead_s, min(gap_s, PAUSE_S))
-        lead = 0 if first else round(lead_s * self._rate_hz)
-        self._latest = Cue(sound, round(silence_s * self._rate_hz), scale, first, lead)
-        self._waiting.append(self._latest)
-        return self._latest
-
-    def _find_place(self, n_frames: int) -> int:
-        """Find where a sound of so many frames has to begin to go on with the last one."""
-        last = self._latest
-        return 0 if last is None else (last.first_frame + last.n_played) % n_frames
+        cue = self._latest = cue or Cue()
+        cue.sound, cue.scale, cue.first_frame = sound, scale, first
+        cue.gap_frames = round(max(gap_s - lead_s, min(gap_s, PAUSE_S)) * self._rate_hz)
+        cue.lead_frames = 0 if first else round(lead_s * self._rate_hz)
+        self._waiting.append(cue)
+        return cue
 
     @property
     def is_playing(self) -> bool:
@@ -347,11 +318,7 @@ class Mixer:
             self._latest.is_stopping = True
 
     def reset(self) -> None:
-        """Forget what plays and what waits, for a device that begins anew; not to be called while one runs.
-
-        What was cut off with the old device must not fade out on the new one. The limiters keep what they know: skin
-        and coil do not begin anew.
-        """
+        """Forget what plays and waits, for a device that begins anew; skin and coil, and so the limiters, do not."""
         for cue in (self._cue, *self._waiting):
             if cue is not None:
                 cue.is_over = True
@@ -425,15 +392,3 @@ class Mixer:
             np.multiply(piece[:n, column], gain, out=piece[:n, column])
             piece[n:, column] = 0
         return n - 1
-
-
-def _make_masker(masking: MaskingTable, rate_hz: float, *, max_frames: int) -> Masker:
-    rng = np.random.default_rng(masking.seed)
-    noise = make_pink(rng, n_samples=round(LOOP_S * rate_hz), rate_hz=rate_hz)
-    return Masker(
-        (masking.rms * noise).astype(np.float32),
-        columns=[channel - 1 for channel in masking.channels],
-        ramp_frames=round(masking.ramp_s * rate_hz),
-        lead_frames=round(masking.lead_s * rate_hz),
-        max_frames=max_frames,
-    )

@@ -1,8 +1,7 @@
 """The output of a session: plays a stimulus, stops it, and reports what was delivered. Times are on its clock, in s.
 
-A rig plays through one sink that runs for the whole session, and is opened again after a failure. A stream that was
-just opened loses its first samples on some devices, so nothing is scheduled before it has run for a while; and a device
-that runs dry, stands still or disappears is reported in the playback, not raised.
+A rig plays through one sink that runs for the whole session, and is opened again after a failure. A device that runs
+dry, stands still or disappears is reported in the playback, not raised.
 """
 
 from __future__ import annotations
@@ -21,18 +20,10 @@ import numpy as np
 
 from feel321.files import make_folder, write_bytes
 from feel321.stimuli.wav import encode_wav
-from feel321.study.actuator.device import (
-    BlockTimes,
-    DeviceStream,
-    Patience,
-    SessionClock,
-    Sink,
-    Trigger,
-    join,
-)
+from feel321.study.actuator.device import DeviceStream, Sink, Trigger, join, refresh_devices
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.response import Sweep, find_slip
-from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE, Rig, identify, require_sensor
+from feel321.study.actuator.rig import Rig, advise_latency, identify, require_sensor
 from feel321.study.actuator.simulated import FileSink, SimulatedStream
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
@@ -42,13 +33,14 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.delivered import DeliveryCheck
+    from feel321.study.actuator.device import BlockTimes, SessionClock
     from feel321.types import Samples
 
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
 
-@dataclass(slots=True)
-class Take:
+@dataclass(slots=True, kw_only=True)
+class Take(Cue):
     """One playback as the sink sees it, block by block; the callback writes it, the session reads it once it is out.
 
     latency_s: of the sink, there and back; sensor: room for what a sensor measures, shape (n, axes), if there is one.
@@ -59,34 +51,26 @@ class Take:
     latency_s: float
     held_s: float = 0.0
     sensor: Frames | None = None
-    cue: Cue | None = None
     onset_s: float | None = None
     dac_source: str = ""
     end_s: float | None = None
     is_out: bool = False
-    n_blocks: int = 0
     dry_frames: list[int] = field(default_factory=list)
     n_sensor_gaps: int = 0
     longest_s: float = 0.0
-    sensor_latency_s: float = 0.0
     n_sensed: int = 0
     end_frame: int = 0
 
     def add_block(self, block: BlockTimes, *, frame: int) -> None:
         """Take account of a block that the mixer has filled."""
-        self.n_blocks += 1
         if block.has_run_dry:
             self.dry_frames.append(frame)
         self.n_sensor_gaps += block.has_lost_input
-        cue = self.cue
-        if cue is None:
-            return
-        if self.onset_s is None and cue.n_played:
-            self.onset_s = block.dac_s + (cue.onset_frame - frame) / self.rate_hz
+        if self.onset_s is None and self.n_played:
+            self.onset_s = block.dac_s + (self.onset_frame - frame) / self.rate_hz
             self.dac_source = block.dac_source
-            self.sensor_latency_s = block.dac_s - block.adc_s
-        if self.end_s is None and cue.is_over:
-            self.end_frame = cue.onset_frame + cue.n_played if cue.n_played else frame
+        if self.end_s is None and self.is_over:
+            self.end_frame = self.onset_frame + self.n_played if self.n_played else frame
             self.end_s = block.dac_s + (self.end_frame - frame) / self.rate_hz
         if self.end_s is None:
             return
@@ -99,25 +83,16 @@ class Take:
         self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
 
     def find_underruns(self) -> list[int]:
-        """List the samples of the stimulus at which the sink ran dry; in the silence around them it spoils nothing.
-
-        What was handed over before is played to its end as a rule, but a device that begins anew may drop what it held.
-        """
-        cue, held = self.cue, round(self.held_s * self.rate_hz)
-        if cue is None or not cue.n_played:
-            return []
-        places = [frame - cue.onset_frame for frame in self.dry_frames]
-        return [min(at, cue.n_played) for at in places if 0 < at < cue.n_played + held]
+        """List the samples of the stimulus at which the sink ran dry, and may have dropped what it held."""
+        last = self.n_played and self.n_played + round(self.held_s * self.rate_hz)
+        places = (frame - self.onset_frame for frame in self.dry_frames)
+        return [min(at, self.n_played) for at in places if 0 < at < last]
 
     def record(self, samples: Frames, *, frame: int) -> None:
         """Keep what the sensor measured, shape (n, axes), since the onset's frame went out; it comes back later."""
-        if self.sensor is None or self.cue is None or self.onset_s is None:
+        if self.sensor is None or self.onset_s is None:
             return
-        first = max(self.cue.onset_frame - frame, 0)
-        if not self.n_sensed:
-            # The onset's own block may come before the session has told which cue it is.
-            self.n_sensed = frame + first - self.cue.onset_frame
-            self.sensor[: self.n_sensed] = 0
+        first = max(self.onset_frame - frame, 0)
         piece = samples[first : first + len(self.sensor) - self.n_sensed]
         self.sensor[self.n_sensed : self.n_sensed + len(piece)] = piece
         self.n_sensed += len(piece)
@@ -125,22 +100,20 @@ class Take:
 
 OPENING_S = 5.0  # beyond its pre-roll; sound servers usually take two seconds to run a stream
 N_OPENINGS = 3  # attempts: a busy sound server may let a first stream stand; a later one runs
-WAKING_S = 1.0  # until a stream asks for a block that nobody looked at and that was silent for long
 REVIVING_S = 8.0  # longest wait of a start for a dead device; it may well come back later
 BEYOND_S = 5.0  # longest recording of the sensor beyond the stimulus; two latencies of 2 s fit in
 LOOK_S = 0.005  # between two looks at a sink that is waited for
-
-SINKS: Mapping[str, type[Sink]] = {FILE_DEVICE: FileSink, SIMULATED_DEVICE: SimulatedStream}
-"""Sinks by the name of the device; every other name is an audio device's."""
+# Sinks by the name of the device; every other name is an audio device's.
+SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, SimulatedStream)}
 
 
 class Output:
     """Plays sounds, shape (n_samples, channels), one at a time; `open_output` opens and closes it.
 
-    lead_s: by how much the filters of a certificate let samples go out before the vibration that they make. So much of
-    the gap is taken up by it, and an onset is that of the vibration. captured: what was recorded of the last playback
-    that was collected, shape (axes, n) in m/s² by a sensor, (channels, n) in full scales for a file; it is written to
-    the folder, if there is one, under the next free number: a name would tell the experimenter what was played.
+    lead_s: by how much the filters of a certificate let samples go out before the vibration that they make: an onset is
+    that of the vibration. captured: what was recorded of the last playback, (axes, n) in m/s² by a sensor, (channels,
+    n) for a file; it is written to the folder under the next free number, as a name would tell what was played.
+    identity: for the journal's header.
     """
 
     def __init__(
@@ -155,7 +128,7 @@ class Output:
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
         self._check, self._name = check, ""
-        self._is_file = rig.device.name == FILE_DEVICE
+        self._is_file = rig.device.name == FileSink.name
         self._preroll_s = 0.0 if self._is_file else PREROLL_S + 2 * rig.device.latency_s
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=self._preroll_s)
         self._trigger = Trigger(rig.trigger, clock) if rig.trigger is not None else None
@@ -164,6 +137,7 @@ class Output:
             longest = max((len(sound) for sound in sounds.values()), default=0)
             n_room, n_axes = longest + round(BEYOND_S * rate_hz), len(rig.sensor.inputs)
             self._room = np.zeros((n_room, n_axes), dtype=np.float32)
+        self._make_sink = SINKS.get(rig.device.name, DeviceStream)
         self._sink: Sink | None = None
         self._n_frames = self._n_dry = 0
         self._n_dry_before = -1  # a stream that was opened anew has not the certificate's latency
@@ -174,29 +148,22 @@ class Output:
         self._stopped_s: float | None = None
         self.captured: Frames | None = None
         self.identity: Mapping[str, Any] = {}
-        """Rig, device, rate and channels, for the journal's header; compared when a session is resumed."""
 
     def open(self) -> None:
         """Open the sink, and wait until it runs steadily."""
-        make_sink = SINKS.get(self._rig.device.name, DeviceStream)
+        rig, rate_hz = self._rig, self._rate_hz
         for _ in range(N_OPENINGS):
-            self._n_frames, n_wanted = 0, self._preroll_s * self._rate_hz
+            self._n_frames, n_wanted = 0, self._preroll_s * rate_hz
             self._mixer.reset()
-            self._sink = sink = make_sink(
-                self._rig, rate_hz=self._rate_hz, fill=self._fill, clock=self._clock
-            )
-            patience = Patience()
-            while self._n_frames < n_wanted and sink.is_active:
-                if patience.look() > OPENING_S + self._preroll_s:
+            sink = self._make_sink(rig, rate_hz=rate_hz, fill=self._fill, clock=self._clock)
+            self._sink = sink
+            for _ in range(round((OPENING_S + self._preroll_s) / LOOK_S)):
+                if self._n_frames >= n_wanted:
                     break
                 sleep(LOOK_S)
             if self._n_frames >= n_wanted:
-                self.identity = {
-                    "rig": identify(self._rig),
-                    **sink.identity,
-                    "rate_hz": self._rate_hz,
-                    "channels": self._rig.n_channels,
-                }
+                own = {"rate_hz": rate_hz, "channels": rig.n_channels}
+                self.identity = {"rig": identify(rig), **sink.identity, **own}
                 return
             self.close()
         raise OSError(f"device {sink.name!r} does not run; is it in use elsewhere?")
@@ -212,10 +179,7 @@ class Output:
     def start(
         self, stimulus: Stimulus | Tone | Scaled | str, *, gap_s: float, goes_on: bool = False
     ) -> None:
-        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped.
-
-        A dead device is opened again first, if it can be.
-        """
+        """Schedule silence, then a stimulus, and return at once; goes_on: where the last one was stopped."""
         self._name = stimulus if isinstance(stimulus, str) else stimulus.stimulus_id
         self._error = self._revive()
         sink = self._sink
@@ -223,15 +187,21 @@ class Output:
         self._take = self._stopped_s = self.captured = None
         if self._error or sink is None:
             return
-        sink.begin()
-        take = Take(self._rate_hz, sink.there_and_back_s, held_s=sink.latency_s, sensor=self._room)
-        self._take = take  # before the mixer knows, so that no block is missed
-        take.cue = self._mixer.start(
+        if isinstance(sink, FileSink):
+            sink.begin()
+        self._take = take = Take(  # before the mixer knows, so that no block is missed
+            rate_hz=self._rate_hz,
+            latency_s=sink.there_and_back_s,
+            held_s=sink.latency_s,
+            sensor=self._room,
+        )
+        self._mixer.start(
             self._name,
             gap_s=gap_s,
             scale=stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0,
             goes_on=goes_on,
             lead_s=self.lead_s,
+            cue=take,
         )
         ahead_s = sink.compare_clocks()
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
@@ -239,10 +209,9 @@ class Output:
             self._trigger.watch(partial(self._find_onset, take))
 
     def _find_onset(self, take: Take) -> float | None:
-        """Find when a vibration begins, on the session's clock; None while that is not known."""
-        if take.onset_s is None or take.cue is None:
+        if take.onset_s is None:
             return None
-        return take.onset_s + self._clock_ahead_s + take.cue.lead_frames / self._rate_hz
+        return take.onset_s + self._clock_ahead_s + take.lead_frames / self._rate_hz
 
     @property
     def is_playing(self) -> bool:
@@ -250,7 +219,7 @@ class Output:
         take, sink = self._take, self._sink
         if take is None or sink is None:
             return False
-        while not take.is_out and sink.serve_due():
+        while isinstance(sink, FileSink) and not take.is_out and sink.serve_due():
             continue
         if take.is_out:
             return False
@@ -260,10 +229,9 @@ class Output:
         return not self._error
 
     def stop(self) -> None:
-        """Fall silent with the next block that the sink asks for; the stimulus is then not completed.
+        """Fall silent with the next block that the sink asks for.
 
-        What a device holds, it still plays: `latency_s` of rig.toml and a block. To throw that away would be a knock on
-        the skin, a click in the ears, and a device that begins anew. `stop_s` in the playback is how long it took.
+        What a device holds, it still plays: to throw that away would be a knock on the skin, and begin the device anew.
         """
         self._stopped_s = self._stopped_s or self._clock()
         self._mixer.stop()
@@ -273,23 +241,21 @@ class Output:
         if self.is_playing and self._stopped_s is None:
             raise ValueError("the playback still plays; stop it, or wait until is_playing is False")
         take = self._take
-        if take is None or take.cue is None:
-            return Playback(
-                self._requested_s, None, completed=False, error=self._error or "nothing was started"
-            )
-        cue, onset_s = take.cue, self._find_onset(take)
+        if take is None:
+            error = self._error or "nothing was started"
+            return Playback(self._requested_s, None, completed=False, error=error)
         self.captured = self._capture(take)
-        measured, sha256 = self._describe_take(take, cue), ""
+        measured, sha256 = self._describe_take(take), ""
         if self.captured is not None and self._folder is not None:
             try:
                 number, sha256 = _write_numbered(self._folder, self.captured, self._rate_hz)
                 measured["file_number"] = float(number)
             except OSError as problem:
                 self._error = self._error or str(problem)
-        is_completed = cue.is_complete and take.is_out
+        is_completed = take.is_complete and take.is_out
         underruns = take.find_underruns()
         is_whole = is_completed and not underruns and not take.n_sensor_gaps
-        fault, notice, delivered = self._compare(cue) if is_whole else ("", "", {})
+        fault, notice, delivered = self._compare(take) if is_whole else ("", "", {})
         if self._trigger is not None:
             self._trigger.leave()
             notice = notice or self._trigger.error  # the hand got what was asked
@@ -297,9 +263,9 @@ class Output:
                 measured["trigger_s"] = self._trigger.sent_s
         return Playback(
             requested_s=self._requested_s,
-            onset_s=onset_s,
+            onset_s=self._find_onset(take),
             underruns=len(underruns),
-            clipped=cue.clipped,
+            clipped=take.clipped,
             completed=is_completed,
             error=self._error,
             measured=measured,
@@ -310,56 +276,46 @@ class Output:
             notice=notice,
         )
 
-    def _compare(self, cue: Cue) -> tuple[str, str, Mapping[str, float]]:
+    def _compare(self, take: Take) -> tuple[str, str, Mapping[str, float]]:
         """Compare a whole playback with what was asked: what is wrong with the rig, and what the hand got."""
         if self._check is None:
             return "", "", {}
         sensed = None if self._room is None else self.captured
         keeps_latency = self._n_dry == self._n_dry_before
         self._n_dry_before = self._n_dry
-        wrong = self._check.diagnose(cue.sound, sensed, keeps_latency=keeps_latency)
-        if cue.scale != 1:  # the level is the set's
+        wrong = self._check.diagnose(take.sound, sensed, keeps_latency=keeps_latency)
+        if take.scale != 1:  # the level is the set's
             return *wrong, {}
-        return *wrong, self._check.describe(self._name, cue.sound, sensed)
+        return *wrong, self._check.describe(self._name, take.sound, sensed)
 
     def _capture(self, take: Take) -> Frames | None:
         """Take what was recorded: by a file from the start on, by a sensor from the frame in which the onset was sent.
 
-        So recordings of one session are aligned to the sample: the onset stands at the same sample in all of them,
-        which is the way there and back and is measured by doctor. They are not cut there by the times that the device
-        gives of its input, which can be wrong by much more (10 ms and, at a stream's begin, 0.4 s were seen).
+        The times that devices give of their input were seen to be wrong by 10 ms and, at a stream's begin, 0.4 s.
         """
         if isinstance(self._sink, FileSink):
             return np.concatenate(self._sink.blocks).T
         if self._rig.sensor is None or take.sensor is None or not take.n_sensed:
             return None
-        sensed = take.sensor[: take.n_sensed].T * np.float32(self._rig.sensor.full_scale_m_s2)
-        return np.asarray(sensed)
+        scale = np.float32(self._rig.sensor.full_scale_m_s2)
+        return np.asarray(take.sensor[: take.n_sensed].T * scale)
 
-    def _describe_take(self, take: Take, cue: Cue) -> dict[str, float]:
-        """Count the samples that were played, and those left out before; on a device, blocks and times too."""
-        measured = {"n_samples": float(cue.n_played)}
-        if cue.first_frame:
-            measured["first_sample"] = float(cue.first_frame)
-        if self._is_file:
-            return measured
-        latency_s = self._rig.device.latency_s if self._sink is None else self._sink.latency_s
-        measured |= {"blocks": float(take.n_blocks), "callback_ms_max": take.longest_s * 1e3}
-        underruns = take.find_underruns()
-        if gaps := len(take.dry_frames) - len(underruns):
-            measured["gap_underruns"] = float(gaps)
-        if underruns:
-            measured["underrun_sample"] = float(underruns[0])
-        measured["latency_s"] = latency_s
-        if take.onset_s is not None:
-            measured["dac_time_s"] = take.onset_s
-        was_cut = 0 < cue.n_played < len(cue.sound)
-        if self._stopped_s is not None and take.end_s is not None and was_cut:
-            measured["stop_s"] = take.end_s + self._clock_ahead_s - self._stopped_s
-        if self.captured is not None:
-            measured["sensor_onset_sample"] = float(round(take.sensor_latency_s * self._rate_hz))
-            measured["sensor_gaps"] = float(take.n_sensor_gaps)
-        return measured
+    def _describe_take(self, take: Take) -> dict[str, float]:
+        own: dict[str, float | None] = {"n_samples": take.n_played}
+        own["first_sample"] = take.first_frame or None
+        if not self._is_file:
+            underruns, was_cut = take.find_underruns(), 0 < take.n_played < len(take.sound)
+            own |= {
+                "callback_ms_max": take.longest_s * 1e3,
+                "latency_s": take.held_s,
+                "gap_underruns": len(take.dry_frames) - len(underruns) or None,
+                "underrun_sample": underruns[0] if underruns else None,
+                "dac_time_s": take.onset_s,
+                "sensor_gaps": None if self.captured is None else take.n_sensor_gaps,
+            }
+            if self._stopped_s is not None and take.end_s is not None and was_cut:
+                own["stop_s"] = take.end_s + self._clock_ahead_s - self._stopped_s
+        return {name: float(value) for name, value in own.items() if value is not None}
 
     def _fill(self, out: Frames, block: BlockTimes, sensed: Frames | None) -> None:
         """Fill a block that the sink asks for, in its own thread."""
@@ -377,7 +333,7 @@ class Output:
     def _revive(self) -> str:
         """Open the sink again if it does not run; returns what went wrong."""
         if self._opening is None:
-            if self._sink is not None and _runs(self._sink):
+            if self._sink is not None and not self._sink.find_fault():
                 return ""
             # Looking for devices can hang as long as a sound server does; the session must not.
             self._opening = Thread(target=self._reopen, daemon=True)
@@ -392,22 +348,11 @@ class Output:
         self._n_dry += 1
         self.close()
         try:
-            SINKS.get(self._rig.device.name, DeviceStream).refresh()
+            if self._make_sink is DeviceStream:
+                refresh_devices()
             self.open()
         except OSError as problem:
             self._opening_error = str(problem)
-
-
-def _runs(sink: Sink) -> bool:
-    """Say whether a sink runs; one that nobody looked at for long is given a moment."""
-    patience = Patience()
-    while not sink.find_fault():
-        if not sink.is_silent:
-            return True
-        if patience.look() > WAKING_S:
-            return False
-        sleep(LOOK_S)
-    return False
 
 
 def _write_numbered(folder: Path, samples: Frames, rate_hz: float) -> tuple[int, str]:
@@ -421,17 +366,9 @@ def _write_numbered(folder: Path, samples: Frames, rate_hz: float) -> tuple[int,
 
 
 @contextmanager
-def open_output(
-    rig: Rig,
-    sounds: Sounds,
-    *,
-    rate_hz: float,
-    clock: SessionClock,
-    folder: Path | None = None,
-    check: DeliveryCheck | None = None,
-) -> Iterator[Output]:
+def open_output(rig: Rig, sounds: Sounds, **choices: Any) -> Iterator[Output]:  # noqa: ANN401 - as of `Output`
     """Open what a rig plays on, and silence and close it whatever happens."""
-    output = Output(rig, sounds, rate_hz=rate_hz, clock=clock, folder=folder, check=check)
+    output = Output(rig, sounds, **choices)
     try:
         output.open()
         yield output
@@ -470,15 +407,13 @@ class Bench:
                 sleep(0.002)
             played, recorded = self.output.collect(), self.output.captured
             if played.error or recorded is None or recorded.shape[1] < n:
-                raise OSError(
-                    played.error or "the sensor's input gave too few samples; check its device"
-                )
+                raise OSError(played.error or "the sensor's input gave too few samples; check it")
             if played.completed and not played.underruns + played.measured["sensor_gaps"]:
                 break
         else:
             raise OSError(
-                f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or raise "
-                "latency_s in rig.toml"
+                f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or "
+                f"{advise_latency(self.rig)}"
             )
         self._check(recorded[:, :n], clipped=played.clipped)
         self.done_s += n / self.rate_hz
@@ -500,8 +435,9 @@ class Bench:
 
     def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
         """Play sweeps, shape (n,), until their recordings are in step."""
+        n = len(sent)
         return self.insist(
-            lambda: self.play({channel: sent}, n=len(sent)), lambda found: find_slip(found, sweep)
+            lambda: self.play({channel: sent}, n=n), lambda got: find_slip(got, sweep)
         )
 
     def insist(self, play: Callable[[], Samples], slip_of: Callable[[Samples], int]) -> Samples:
@@ -513,7 +449,7 @@ class Bench:
         raise OSError(
             f"the recordings of equal sweeps are {slip} samples out of step, {N_TRIES} times in a row: samples are "
             "lost between output and sensor, or the sensor's device has a clock of its own; put both on one sound "
-            "card, named itself, raise latency_s in rig.toml, or lower sweep_s and repeats under [calibration]"
+            f"card, named itself, {advise_latency(self.rig)}, or lower sweep_s and repeats under [calibration]"
         )
 
 

@@ -1,9 +1,8 @@
 """From a stimulus's file to the samples of the rig's channels, and checks of their size.
 
 Coils that move in the same direction add their amplitudes, coils at right angles their energies: a one-axis stimulus
-reaches the hand as the vector sum of the coils' directions, each times its weight. The default weights make that sum
-1, so that a stimulus of 1 m/s² reaches the hand as 1 m/s², as a three-axis one does whose axes go to coils at right
-angles. A rig that gives its coils no directions plays everything at weight 1.
+reaches the hand as the vector sum of the coils' directions, each times its weight. The default weights make that sum 1,
+so that a stimulus of 1 m/s² reaches the hand as 1 m/s². A rig that gives no directions plays everything at weight 1.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,12 +30,10 @@ CANCELLED = 0.05  # motions that sum to less than this share of one coil's cance
 
 def find_mix(rig: Rig) -> dict[str, dict[str, float]]:
     """Find each actuator's factor on each of its sources: name -> `reduced`, `x`, `y`, `z` -> factor."""
-    directions, unknown = find_directions(rig)
+    directions, _ = find_directions(rig)
     shares = dict.fromkeys((REDUCED, *AXES), 1.0)
     for source in shares if all(one.direction is not None for one in rig.actuators) else ():
-        names = [
-            one.name for one in rig.actuators if source in one.plays and one.name not in unknown
-        ]
+        names = [one.name for one in rig.actuators if source in one.plays]
         length = float(np.linalg.norm(np.sum([directions[name] for name in names], axis=0)))
         if names and length < CANCELLED:
             raise ValueError(
@@ -52,10 +49,7 @@ def find_mix(rig: Rig) -> dict[str, dict[str, float]]:
 
 
 def find_directions(rig: Rig) -> tuple[dict[str, Vector], list[str]]:
-    """Find in which direction each coil moves the hand, shape (3,), and for which coils it is not known.
-
-    A unit vector: the coil's own direction, or the axis if it plays just one and gives no direction.
-    """
+    """Find in which direction each coil moves the hand, a unit vector, and for which coils that is not known."""
     known: dict[str, Vector] = {}
     for actuator in rig.actuators:
         axes = [axis for axis in AXES if axis in actuator.plays]
@@ -84,9 +78,6 @@ def _sum_motion(mix: Mix, directions: Mapping[str, Vector], source: str) -> Vect
     return np.asarray(sum(motions, np.zeros(3)))
 
 
-SOURCES = {1: (REDUCED,), len(AXES): AXES}  # what the channels of a file are, by their number
-
-
 def render_stimulus(
     stimulus: Stimulus,
     folder: Path,
@@ -95,28 +86,30 @@ def render_stimulus(
     full_scale_m_s2: float,
     certificate: Certificate | None = None,
 ) -> Frames:
-    """Render one stimulus for a rig, as samples of shape (n_samples, channels).
-
-    Where study and actuator have the same full scale, the samples are those of the file times the coil's weight. With a
-    certificate they are at the measured full scale and go through the coils' filters, which makes them longer.
-    """
-    tracks = _read_tracks(stimulus, folder)
-    sources, mix = SOURCES[len(tracks)], find_mix(rig)
-    played = {source for factors in mix.values() for source in factors}
-    if missing := [source for source in sources if source not in played]:
+    """Render one stimulus for a rig, as samples of shape (n_samples, channels), by a certificate with its filters."""
+    samples, rate_hz = read_wav(folder / stimulus.file)
+    tracks, mix = np.atleast_2d(samples), find_mix(rig)
+    if tracks.shape[1] != stimulus.n_samples or rate_hz != stimulus.rate_hz:
         raise ValueError(
-            f"{stimulus.stimulus_id}: no actuator plays {', '.join(missing)}; add it to `plays` in rig.toml, or name a "
-            "reference in study.toml that the rig can play"
+            f"{stimulus.file}: got {tracks.shape[1]} samples at {rate_hz} Hz, the manifest says {stimulus.n_samples} "
+            f"at {stimulus.rate_hz:g}; build the set again"
         )
-    own = dict(zip(sources, tracks, strict=True))
-    silence = np.zeros(stimulus.n_samples)
-    asked_m_s2 = {
-        name: sum(
-            (factor * own[source] for source, factor in factors.items() if source in own), silence
+    if len(tracks) not in {1, len(AXES)}:
+        got = len(tracks)
+        raise ValueError(f"{stimulus.file}: must have 1 or 3 channels, got {got}; build it again")
+    check_finite(tracks, stimulus.file)
+    own = dict(zip((REDUCED,) if len(tracks) == 1 else AXES, tracks, strict=True))
+    if missing := set(own).difference(*mix.values()):
+        raise ValueError(
+            f"{stimulus.stimulus_id}: no actuator plays {', '.join(sorted(missing))}; add it to `plays` in rig.toml, "
+            "or name a reference in study.toml that the rig can play"
         )
-        * full_scale_m_s2
-        for name, factors in mix.items()
-    }
+    asked_m_s2 = {}
+    for name, factors in mix.items():
+        moved = np.zeros(stimulus.n_samples)
+        for source in (one for one in factors if one in own):
+            moved = moved + factors[source] * own[source]
+        asked_m_s2[name] = moved * full_scale_m_s2
     return render_motion(asked_m_s2, rig, certificate=certificate)
 
 
@@ -124,42 +117,19 @@ def render_motion(
     asked_m_s2: Mapping[str, Vector], rig: Rig, *, certificate: Certificate | None
 ) -> Frames:
     """Render the motions asked of the actuators, shape (n,) each, as samples of shape (n + tail, channels)."""
-    channels = {
-        actuator.channel - 1: (
-            certificate.drive(actuator.name, asked_m_s2[actuator.name])
-            if certificate
-            else asked_m_s2[actuator.name] / actuator.full_scale_m_s2
-        )
-        for actuator in rig.actuators
+    sent = {
+        one.channel - 1: certificate.drive(one.name, asked_m_s2[one.name])
+        if certificate
+        else asked_m_s2[one.name] / one.full_scale_m_s2
+        for one in rig.actuators
     }
-    n_samples = max(len(samples) for samples in channels.values())
-    rendered = np.zeros((n_samples, rig.n_channels), dtype=np.float32)
-    for column, samples in channels.items():
+    rendered = np.zeros((max(map(len, sent.values())), rig.n_channels), dtype=np.float32)
+    for column, samples in sent.items():
         rendered[: len(samples), column] = samples
     return rendered
 
 
-def _read_tracks(stimulus: Stimulus, folder: Path) -> Vector:
-    """Read the channels of a stimulus's file, shape (1 or 3, n_samples)."""
-    samples, rate_hz = read_wav(folder / stimulus.file)
-    tracks = np.atleast_2d(samples)
-    if tracks.shape[1] != stimulus.n_samples or rate_hz != stimulus.rate_hz:
-        raise ValueError(
-            f"{stimulus.file}: got {tracks.shape[1]} samples at {rate_hz} Hz, the manifest says {stimulus.n_samples} "
-            f"at {stimulus.rate_hz:g}; build the set again"
-        )
-    if len(tracks) not in SOURCES:
-        raise ValueError(
-            f"{stimulus.file}: must have 1 or {len(AXES)} channels, got {len(tracks)}; build it again"
-        )
-    check_finite(tracks, stimulus.file)
-    return tracks
-
-
-# Tones of threshold measurements, rendered once per frequency for 1 m/s² RMS at the hand and scaled as they are played.
-
-RAMP_S = 0.02
-"""Raised-cosine ramps at both ends: shorter ones would add other frequencies."""
+RAMP_S = 0.02  # of a tone, at both ends: shorter ones would add other frequencies
 
 
 def make_tone(frequency_hz: float, *, duration_s: float, rate_hz: float) -> Vector:
@@ -173,20 +143,13 @@ def make_tone(frequency_hz: float, *, duration_s: float, rate_hz: float) -> Vect
 def render_tones(
     block: ThresholdBlock, rig: Rig, *, rate_hz: float, certificate: Certificate | None = None
 ) -> dict[str, Frames]:
-    """Render the tone of each frequency for a rig, by name, shape (n_samples, channels).
-
-    They go through every actuator that plays one-axis stimuli, with the rig's mix; a silent interval is the same tone
-    times 0, so that masking noise and sync pulse are those of an interval that vibrates.
-    """
+    """Render the tone of each frequency for a rig, by name, shape (n_samples, channels), for 1 m/s² RMS at the hand."""
     sounds, mix = {}, find_mix(rig)
     for frequency in block.frequencies_hz:
         tone = make_tone(frequency, duration_s=block.duration_s, rate_hz=rate_hz)
         asked = {one.name: mix[one.name].get(REDUCED, 0.0) * tone for one in rig.actuators}
         sounds[name_tone(frequency)] = render_motion(asked, rig, certificate=certificate)
     return sounds
-
-
-# What a rig cannot play as it is.
 
 
 def find_rig_problems(
@@ -244,9 +207,8 @@ def find_tone_problems(
     worst: dict[tuple[str, str], float] = {}
     for sound in render_tones(block, rig, rate_hz=rate_hz, certificate=certificate).values():
         loud = strongest * sound.astype(np.float64)
-        for actuator, limit, asked in _find_excesses(
-            rig, loud, rate_hz=rate_hz, certificate=certificate
-        ):
+        found = _find_excesses(rig, loud, rate_hz=rate_hz, certificate=certificate)
+        for actuator, limit, asked in found:
             worst[actuator, limit] = max(asked, worst.get((actuator, limit), 0.0))
     for (actuator, limit), asked in worst.items():
         key = "duration_s" if "duration_s" in limit else "highest_db"
@@ -279,14 +241,16 @@ def _find_excesses(
         samples = rendered[:, actuator.channel - 1].astype(np.float64)
         if not samples.any():
             continue
-        coil = certificate.coils[actuator.name] if certificate else None
-        scale = coil.target if coil else actuator.full_scale_m_s2
-        motions = [samples * scale, *([coil.respond(samples, rate_hz=rate_hz)] if coil else [])]
+        scale, which, motions = actuator.full_scale_m_s2, "full_scale_m_s2", []
+        if certificate:
+            coil = certificate.coils[actuator.name]
+            scale, which = coil.target, "measured full scale"
+            motions = [coil.respond(samples, rate_hz=rate_hz)]
+        motions = [samples * scale, *motions]
         peaks = [float(np.abs(one).max()) for one in motions]
         rms = max(float(slide_rms(one, n_window).max()) for one in motions)
-        own = f"the actuator's {'measured full scale' if coil else 'full_scale_m_s2'}"
         for limit, asked, allowed in (
-            (own, peaks[0], scale),
+            (f"the actuator's {which}", peaks[0], scale),
             ("limits.peak_m_s2", max(peaks), limits.peak_m_s2),
             ("limits.rms_m_s2", rms, limits.rms_m_s2),
             ("limits.duration_s", len(samples) / rate_hz, limits.duration_s),

@@ -1,21 +1,13 @@
-"""From samples sent to acceleration felt: sweeps, the response of a coil, its inverse filter, and its verification.
+"""From samples sent to acceleration felt: sweeps, the response of a coil, its inverse filter.
 
-Pure functions on arrays. Sent samples are in units of full scale, recorded ones in m/s², responses in m/s² per full
-scale, frequencies in Hz. Bands are given, never guessed from where a sweep fades.
-
-References
-----------
-Farina A (2000). Simultaneous measurement of impulse response and distortion with a swept-sine technique. 108th AES
-Convention. Novak A, Lotton P, Simon L (2015). Synchronized swept-sine: theory, application, and implementation. J
-Audio Eng Soc 63(10), 786-798, doi:10.17743/jaes.2015.0071. Bendat JS, Piersol AG (2010). Random data, chapters 6 and
-9, doi:10.1002/9781118032428. Knapp C, Carter G (1976). The generalized correlation method for estimation of time
-delay. doi:10.1109/TASSP.1976.1162830. Kirkeby O, Nelson PA (1999). Digital filter design for inversion problems in
-sound reproduction. J Audio Eng Soc 47(7/8), 583-595.
+Sent samples are in units of full scale, recorded ones in m/s², responses in m/s² per full scale, frequencies in Hz.
+After Novak et al. 2015 (synchronized sweeps, doi:10.17743/jaes.2015.0071), Bendat & Piersol 2010 (H1 and coherence,
+doi:10.1002/9781118032428), Knapp & Carter 1976 (delays, doi:10.1109/TASSP.1976.1162830), and Kirkeby & Nelson 1999
+(inversion, J Audio Eng Soc 47, 583-595).
 """
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +17,11 @@ from feel321.types import Samples
 
 Spectrum = NDArray[np.complex128]
 Band = tuple[float, float]
-Phase = Literal["corrected", "minimum"]
 
 BAND_HZ = (20.0, 1000.0)
 BELOW, ABOVE = 2.0, 1.25  # how far a sweep goes beyond its band; its ramps lie there
 ORDERS = (2, 3, 4, 5)  # harmonics that count as distortion
-# How far a filter of corrected phase reaches ahead, in periods of the band's lowest frequency.
-LEAD_PERIODS = 4.0
+LEAD_PERIODS = 4.0  # of the band's lowest frequency, by which a filter reaches ahead
 SMOOTH_HZ = 1.0  # spectra of sweeps, which are finer, are averaged over so many Hz
 TINY = float(np.finfo(float).tiny)
 DB = 20 / math.log(10)
@@ -43,10 +33,9 @@ PEAK = 10.0  # least height of a correlation's peak over its standard deviation
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """Several equal exponential sine sweeps, each with a pause in which the coil comes to rest.
+    """Several equal exponential sine sweeps, each with a pause that exceeds latency and ringing.
 
-    peak: no sample is larger. pause_s must exceed latency and ringing. duration_s is rounded so that harmonics are in
-    phase (Novak et al.).
+    duration_s is rounded so that harmonics are in phase (Novak et al.).
     """
 
     rate_hz: float
@@ -57,16 +46,11 @@ class Sweep:
     peak: float = 0.5
 
     def __post_init__(self) -> None:
-        """Refuse sweeps that cannot be made, or from which nothing could be learned."""
+        """Refuse sweeps that cannot be made."""
         check_band(self.band_hz, rate_hz=self.rate_hz, above=ABOVE)
-        if not 0 < self.peak <= 1:
-            raise ValueError(f"peak must be above 0 and at most 1 (full scale), got {self.peak}")
-        if self.n_repeats < 2:  # noqa: PLR2004 - coherence is 1 for one sweep, whatever was recorded
-            raise ValueError(f"n_repeats must be 2 or more for coherence, got {self.n_repeats}")
         if self.time_constant_s <= 0 or self.pause_s <= 0:
-            raise ValueError(
-                f"duration_s and pause_s must be longer, got {self.duration_s} and {self.pause_s}"
-            )
+            got = f"{self.duration_s} and {self.pause_s}"
+            raise ValueError(f"duration_s and pause_s must be longer, got {got}")
 
     @property
     def ends_hz(self) -> Band:
@@ -89,11 +73,10 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Response:
-    """What a coil makes of the samples sent to it.
+    """What a coil makes of the samples sent to it, along a unit vector `direction`, shape (axes,).
 
-    frequency_hz, response (along `direction`, latency removed) and coherence have shape (k,); distortion too: harmonics
-    2 to 5 over the fundamental at each fundamental, NaN where it was not measured. latency: samples. direction: unit
-    vector, shape (axes,). cross_talk_db: motion across the direction over motion along it, in the band.
+    response (latency removed), coherence and distortion (harmonics 2 to 5 over the fundamental, NaN where it was not
+    measured) have the shape (k,) of frequency_hz. cross_talk_db: motion across the direction over motion along it.
     """
 
     rate_hz: float
@@ -107,7 +90,7 @@ class Response:
     cross_talk_db: float
 
     def find_deviation_db(self, *, target: float, band_hz: Band) -> Samples:
-        """Find how far it is from a target (m/s² per full scale) in a band, shape (k,)."""
+        """Find how far it is from a target in a band, shape (k,)."""
         inside = find_inside(self.frequency_hz, band_hz=band_hz)
         size = np.maximum(np.abs(self.response[inside]), TINY)
         return np.asarray(20 * np.log10(size / target))
@@ -115,10 +98,7 @@ class Response:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InverseFilter:
-    """An FIR filter, shape (n,), that gives a coil the response `target` (m/s² per full scale) in a band.
-
-    delay: samples by which it is late. gain_db: its largest gain; what is played must be that much below full scale.
-    """
+    """An FIR filter, shape (n,), that gives a coil the response `target` in a band, `delay` samples late."""
 
     fir: Samples
     target: float
@@ -141,10 +121,7 @@ def find_inside(frequency_hz: Samples, *, band_hz: Band) -> NDArray[np.bool_]:
 
 
 def make_sweep(sweep: Sweep) -> Samples:
-    """Make the samples of a sweep, `sin(2π f₁ L exp(t / L))`, shape (period * n_repeats,).
-
-    Raised-cosine ramps lie where the frequency is outside the band; within it the amplitude is `peak`.
-    """
+    """Make the samples of a sweep, `sin(2π f₁ L exp(t / L))`, shape (period * n_repeats,)."""
     first, last = sweep.ends_hz
     constant_s = sweep.time_constant_s
     time_s = np.arange(sweep.period) / sweep.rate_hz
@@ -156,26 +133,15 @@ def make_sweep(sweep: Sweep) -> Samples:
     return np.tile(sweep.peak * ramps * np.sin(phase), sweep.n_repeats)
 
 
-def find_ramp(frequency_hz: Samples, *, band_hz: Band) -> Samples:
-    """Find the amplitude of a sweep over its peak at each frequency: 1 in the band, and 0 at the sweep's ends."""
-    log_hz = np.log(np.maximum(frequency_hz, TINY))
-    rise = np.clip((log_hz - math.log(band_hz[0] / BELOW)) / math.log(BELOW), 0, 1)
-    fall = np.clip((math.log(band_hz[1] * ABOVE) - log_hz) / math.log(ABOVE), 0, 1)
-    ramp: Samples = np.sin(math.pi / 2 * rise) ** 2 * np.sin(math.pi / 2 * fall) ** 2
-    return ramp
-
-
 def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = None) -> Response:
     """Measure a response, H1 = Sxy / Sxx over equal sweeps, and its distortion; recorded: shape (n,) or (axes, n).
 
-    sent: what was asked for, if it is not the sweep at its own peak (as when a sweep goes through an inverse filter).
-    Spectra are averaged over periods and over 1 Hz; coherence is |Sxy|² / (Sxx Syy).
+    sent: what was asked for, if it is not the sweep at its own peak. Spectra are averaged over periods and over 1 Hz;
+    coherence is |Sxy|² / (Sxx Syy). The direction is the first principal axis of the real part of the cross-spectra.
     """
     asked, axes = make_sweep(sweep) if sent is None else sent, np.atleast_2d(recorded)
     if not (np.isfinite(axes).all() and axes.any()):
-        raise ValueError(
-            "recorded samples must be finite and not all 0; check that the sensor is connected"
-        )
+        raise ValueError("recorded samples must be finite and not all 0; check the sensor")
 
     def average(x: Samples, y: Samples) -> tuple[Samples, Spectrum]:
         return signal.csd(x, y, sweep.rate_hz, "boxcar", sweep.period, 0, detrend=False)
@@ -184,9 +150,9 @@ def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = Non
     sxy = average(asked, axes)[1]
     inside = find_inside(frequency_hz, band_hz=sweep.band_hz)
     raw = sxy / np.maximum(sxx.real, TINY)
-    direction, cross_talk_db = find_direction(raw[:, inside])
-    latency, sign = find_latency(direction @ raw, inside=inside)
-    direction = sign * direction  # for positive drive
+    values, vectors = np.linalg.eigh((raw[:, inside] @ raw[:, inside].conj().T).real)
+    latency, sign = find_latency(vectors[:, -1] @ raw, inside=inside)
+    direction = sign * vectors[:, -1]  # for positive drive
     turned = direction @ sxy * np.exp(2j * math.pi * frequency_hz * latency / sweep.rate_hz)
     along = average(direction @ axes, direction @ axes)[1].real
     n_bins = max(round(SMOOTH_HZ / frequency_hz[1]), 1)
@@ -203,25 +169,15 @@ def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = Non
         distortion=measure_distortion(sweep, np.roll(mean, -latency), frequency_hz=frequency_hz),
         latency=latency,
         direction=direction,
-        cross_talk_db=cross_talk_db,
+        cross_talk_db=10 * math.log10(max(float(values[:-1].sum()), TINY) / max(values[-1], TINY)),
     )
-
-
-def find_direction(responses: Spectrum) -> tuple[Samples, float]:
-    """Find the direction in which most of the response lies, shape (axes,), and what lies across it, in dB.
-
-    responses: shape (axes, k). The direction is the first principal axis of the real part of their cross-spectra.
-    """
-    values, vectors = np.linalg.eigh((responses @ responses.conj().T).real)
-    across = max(float(values[:-1].sum()), TINY) / max(values[-1], TINY)
-    return vectors[:, -1], 10 * math.log10(across)
 
 
 def find_latency(response: Spectrum, *, inside: NDArray[np.bool_]) -> tuple[int, int]:
     """Find the latency in whole samples, and the polarity (1 or -1), of a response from 0 to half the rate.
 
-    A coil is a minimum-phase filter, whose phase follows from its magnitude; what phase is left is delay. Its
-    phases are summed with equal weight over the band (Knapp & Carter's phase transform), and the peak is the delay.
+    A coil is a minimum-phase filter, whose phase follows from its magnitude; what phase is left is delay, whose pulse
+    Knapp & Carter's phase transform makes.
     """
     bins = np.log(np.maximum(np.arange(len(response)), 1))
     log_magnitude = np.log(np.maximum(np.abs(response), TINY))
@@ -231,7 +187,9 @@ def find_latency(response: Spectrum, *, inside: NDArray[np.bool_]) -> tuple[int,
     slope = np.polyfit(bins[half_octave], log_magnitude[half_octave], 1)[0]
     smooth = np.interp(bins, bins[inside], log_magnitude[inside])
     smooth += slope * np.minimum(bins - lowest, 0)
-    excess = inside * response / _make_minimum_phase(smooth)
+    # Of a minimum-phase spectrum the phase is minus the Hilbert transform of the log magnitude.
+    analytic: Spectrum = signal.hilbert(np.concatenate([smooth, smooth[-2:0:-1]]))
+    excess = inside * response / np.exp(np.conj(analytic)[: len(smooth)])
     pulse = fft.irfft(excess / np.maximum(np.abs(excess), TINY))
     peak = int(np.argmax(np.abs(pulse)))
     return (peak if peak < len(pulse) // 2 else peak - len(pulse)), int(np.sign(pulse[peak]))
@@ -271,18 +229,14 @@ def make_inverse(
     band_hz: Band = BAND_HZ,
     max_gain_db: float = 20.0,
     n_taps: int,
-    phase: Phase = "minimum",
     min_coherence: float = 0.95,
 ) -> InverseFilter:
     """Make the filter that brings a response to its median magnitude in the band.
 
     It is `T |H| / (|H|² + β)` with Kirkeby's regularisation β, at each frequency the least that keeps the gain at
-    or below the bound, so 0 wherever it can. Where coherence is below its minimum, and outside the band, the gain is
-    1; at the band's edges it goes there within half an octave.
-
-    phase: "corrected" takes away the coil's phase too, so that what arrives has the shape of what was asked for, later
-    by `delay`; "minimum" undoes it without delay, but not within an octave or two of the band's lower edge, where much
-    of a vibration's energy may be.
+    or below the bound, so 0 wherever it can. The coil's phase is taken away too, so that what arrives has the shape of
+    what was asked for, later by `delay`. Where coherence is below its minimum, and outside the band, the gain is 1; at
+    the band's edges it goes there within half an octave.
     """
     check_band(band_hz, rate_hz=response.rate_hz)
     inside = find_inside(response.frequency_hz, band_hz=band_hz)
@@ -304,14 +258,16 @@ def make_inverse(
     outside = np.maximum(math.log2(band_hz[0]) - octaves, octaves - math.log2(band_hz[1]))
     weight *= np.cos(math.pi / 2 * np.clip(2 * outside, 0, 1)) ** 2
     log_gain = weight * np.interp(grid_hz, response.frequency_hz, np.log(wanted))
-    if phase == "corrected":
-        turned = np.unwrap(np.angle(response.response[inside]))
-        # Whole turns are taken away, so that the phase is near 0 at the band's upper end.
-        turned -= 2 * math.pi * round(turned[-1] / (2 * math.pi))
-        turned = np.interp(grid_hz, response.frequency_hz[inside], turned)
-        log_gain = log_gain - 1j * weight * turned
-    lead = round(LEAD_PERIODS / band_hz[0] * response.rate_hz)
-    fir, delay = _make_fir(log_gain, n_taps=n_taps, phase=phase, lead=lead)
+    turned = np.unwrap(np.angle(response.response[inside]))
+    # Whole turns are taken away, so that the phase is near 0 at the band's upper end.
+    turned -= 2 * math.pi * round(turned[-1] / (2 * math.pi))
+    turned = np.interp(grid_hz, response.frequency_hz[inside], turned)
+    # The last `delay` samples of the periodic impulse response, and the first of what is left.
+    delay = min(round(LEAD_PERIODS / band_hz[0] * response.rate_hz), n_taps // 2)
+    fir: Samples = np.roll(fft.irfft(np.exp(log_gain - 1j * weight * turned)), delay)[:n_taps]
+    n_rise, n_fall = delay // 2, (n_taps - delay) // 2
+    fir[:n_rise] *= np.sin(math.pi / 2 * np.arange(n_rise) / max(n_rise, 1)) ** 2
+    fir[n_taps - n_fall :] *= np.cos(math.pi / 2 * np.arange(n_fall) / max(n_fall, 1)) ** 2
     largest = float(np.abs(fft.rfft(fir, n_grid)).max())
     within = min(1.0, bound / largest)  # cutting a filter to its length ripples; the bound holds
     return InverseFilter(
@@ -322,42 +278,8 @@ def make_inverse(
     )
 
 
-def _make_minimum_phase(log_magnitude: Samples) -> Spectrum:
-    """Make a minimum-phase spectrum of its log magnitude, of which minus the Hilbert transform is the phase."""
-    whole = np.concatenate([log_magnitude, log_magnitude[-2:0:-1]])
-    analytic: Spectrum = signal.hilbert(whole)
-    spectrum: Spectrum = np.exp(np.conj(analytic)[: len(log_magnitude)])
-    return spectrum
-
-
-def _make_fir(
-    log_gain: Samples | Spectrum, *, n_taps: int, phase: Phase, lead: int
-) -> tuple[Samples, int]:
-    """Make the taps of a filter of given log gain from 0 to half the rate, and its delay in samples.
-
-    lead: how far a filter of corrected phase, whose log gain is complex, reaches ahead.
-    """
-    if phase == "minimum":
-        taper = signal.windows.tukey(2 * n_taps, 0.5)[n_taps:]
-        return fft.irfft(_make_minimum_phase(log_gain.real))[:n_taps] * taper, 0
-    # The last `delay` samples of the periodic impulse response, and the first of what is left.
-    delay = min(lead, n_taps // 2)
-    fir: Samples = np.roll(fft.irfft(np.exp(log_gain)), delay)[:n_taps]
-    n_rise, n_fall = delay // 2, (n_taps - delay) // 2
-    fir[:n_rise] *= np.sin(math.pi / 2 * np.arange(n_rise) / max(n_rise, 1)) ** 2
-    fir[n_taps - n_fall :] *= np.cos(math.pi / 2 * np.arange(n_fall) / max(n_fall, 1)) ** 2
-    return fir, delay
-
-
-# Whether samples were lost between equal sweeps.
-
-
 def find_slip(recorded: Samples, sweep: Sweep) -> int:
-    """Find by how many samples later sweeps are out of step with the first one, at most; 0 where noise hides it.
-
-    Over the whole band by correlation with equal weights (Knapp & Carter's phase transform); and by the phase of each
-    third octave, because samples may be lost while the sweep passes through it.
-    """
+    """Find by how many samples later sweeps are out of step with the first one, at most; 0 where noise hides it."""
     periods = recorded.reshape(len(recorded), sweep.n_repeats, sweep.period)
     spectra = fft.rfft(periods, axis=-1)
     frequency_hz = fft.rfftfreq(sweep.period, 1 / sweep.rate_hz)
@@ -372,6 +294,7 @@ def find_slip(recorded: Samples, sweep: Sweep) -> int:
         average_thirds(one, frequency_hz, band_hz=sweep.band_hz)
         for one in (cross, np.sqrt(energy[1:] * energy[:1]), frequency_hz)
     )
+    # Samples may be lost while the sweep passes through a third octave, whose phase then differs.
     turned = np.abs(np.angle(together)) * (np.abs(together) > ALIVE * size)
     lost = turned * (turned > MOST_TURNED) / (2 * math.pi * middle_hz) * sweep.rate_hz
     slip = max(int(lags.max()), round(float(lost.max())))
@@ -379,7 +302,7 @@ def find_slip(recorded: Samples, sweep: Sweep) -> int:
 
 
 def average_thirds(values: Samples, frequency_hz: Samples, *, band_hz: Band) -> Samples:
-    """Average values, shape (..., k), in third octaves of a band; empty ones are left out."""
+    """Average values, shape (..., k), in the third octaves of a band that are not empty."""
     low, high = band_hz
     n_bands = max(round(3 * math.log2(high / low)), 1)
     number = np.floor(n_bands * np.log(np.maximum(frequency_hz, 1e-9) / low) / math.log(high / low))

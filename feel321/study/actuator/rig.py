@@ -1,7 +1,4 @@
-"""The rig of a lab, as described by `rig.toml`: which actuator is on which channel, and its limits.
-
-Samples of stimuli are fractions of the study's full scale; samples for an actuator are fractions of the actuator's.
-"""
+"""The rig of a lab, as described by `rig.toml`: which actuator is on which channel, and its limits."""
 
 import hashlib
 import json
@@ -16,7 +13,6 @@ from feel321.study.settings import fields
 
 FILE_DEVICE = "file"  # the name of the device that renders to WAV files
 SIMULATED_DEVICE = "simulated"  # the name of the device that `[simulation]` describes
-STANDARD_GRAVITY = 9.80665  # m/s² per g
 REDUCED = "reduced"  # what an actuator plays of one-axis stimuli
 AXES = ("x", "y", "z")  # of three-axis stimuli, in the order of the channels of their files
 LOUDEST_MASKING = 0.15  # of full scale: peaks of minutes of Gaussian noise are below 6 RMS
@@ -41,9 +37,9 @@ def _check_direction(direction: tuple[float, float, float]) -> tuple[float, floa
     return direction
 
 
-Direction = Annotated[
-    tuple[fields.Finite, fields.Finite, fields.Finite], AfterValidator(_check_direction)
-]
+Three = tuple[fields.Finite, fields.Finite, fields.Finite]
+Direction = Annotated[Three, AfterValidator(_check_direction)]
+Source = Annotated[str, fields.one_of((REDUCED, *AXES))]
 
 
 class ActuatorTable(fields.TomlTable):
@@ -52,9 +48,7 @@ class ActuatorTable(fields.TomlTable):
     name: fields.Words
     channel: Channel
     full_scale_m_s2: Acceleration = 100.0
-    plays: Annotated[tuple[Annotated[str, fields.one_of((REDUCED, *AXES))], ...], fields.Some] = (
-        REDUCED,
-    )
+    plays: Annotated[tuple[Source, ...], fields.Some] = (REDUCED,)
     direction: Direction | None = None
     weight: Annotated[fields.Positive, Field(le=100)] | None = None
 
@@ -70,7 +64,7 @@ class LimitsTable(fields.TomlTable):
 class MaskingTable(fields.TomlTable):
     """`[masking]`: pink noise on headphones while something vibrates."""
 
-    channels: tuple[Channel, ...]
+    channels: Annotated[tuple[Channel, ...], Field(min_length=1)]
     rms: Annotated[float, Field(gt=0, le=LOUDEST_MASKING)] = 0.05
     ramp_s: Fade = 0.2
     lead_s: Fade = 0.5
@@ -79,52 +73,17 @@ class MaskingTable(fields.TomlTable):
     @model_validator(mode="after")
     def _is_on_in_time(self) -> Self:
         if self.ramp_s > self.lead_s:
-            raise ValueError(
-                f"got ramp_s {self.ramp_s:g} and lead_s {self.lead_s:g}: the ramp must be over when the vibration "
-                "begins; raise lead_s or lower ramp_s"
-            )
-        if not self.channels:
-            raise ValueError("got no channels; name at least one of those of the headphones")
+            raise ValueError("must have lead_s of ramp_s or more: then the ramp is over in time")
         return self
 
 
 class SensorTable(fields.TomlTable):
-    """`[sensor]`: the inputs that measure the vibration, and their scale.
-
-    One `channel`, or three `channels` (x, y, z); of another `device` than the one that plays, if it is named. The scale
-    is `full_scale_m_s2`, or a data sheet's `sensitivity_mv_per_g` with the input's peak voltage at full scale,
-    `input_peak_v`; journals and certificates hold both.
-    """
+    """`[sensor]`: the inputs that measure the vibration; `device`: where it is another one than the one that plays."""
 
     channel: Channel | None = None
     channels: tuple[Channel, Channel, Channel] | None = None
     device: fields.Words | None = None
-    sensitivity_mv_per_g: fields.Positive | None = None
-    input_peak_v: fields.Positive | None = None
     full_scale_m_s2: Acceleration
-
-    @model_validator(mode="before")
-    @classmethod
-    def _find_scale(cls, table: Any) -> Any:  # noqa: ANN401 - whatever the file holds
-        if not isinstance(table, dict):
-            return table
-        # What comes through here counts as Python's, whose lists are no tuples.
-        given: dict[str, Any] = {
-            key: tuple(value) if isinstance(value, list) else value for key, value in table.items()
-        }
-        sheet = [given.get(name) for name in ("sensitivity_mv_per_g", "input_peak_v")]
-        if sheet == [None, None]:
-            return given
-        known = [
-            float(one) for one in sheet if isinstance(one, int | float) and 0 < one <= fields.MOST
-        ]
-        scale = 1e3 * known[1] / known[0] * STANDARD_GRAVITY if len(known) == len(sheet) else None
-        if scale is None or given.setdefault("full_scale_m_s2", scale) != scale:
-            raise ValueError(
-                "must have full_scale_m_s2 alone, or sensitivity_mv_per_g and input_peak_v together, above 0; "
-                "take one pair"
-            )
-        return given
 
     @model_validator(mode="after")
     def _has_channels(self) -> Self:
@@ -141,10 +100,8 @@ class SensorTable(fields.TomlTable):
 class CoilTable(fields.TomlTable):
     """`[[simulation.coils]]`: a simulated voice coil in place of the actuator of the same name.
 
-    full_scale_m_s2: acceleration at full scale far above resonance. saturation: drive (in full scales) at which the
-    amplifier approaches its limit, `s tanh(u / s)`; none for a linear one. noise_m_s2: RMS of the noise of each axis of
-    the sensor. direction: for positive drive. latency: samples from drive to sensor. drift_db_per_min: change of gain
-    since the start.
+    full_scale_m_s2: at full scale far above resonance. saturation: drive (in full scales) at which the amplifier
+    approaches its limit, `s tanh(u / s)`. noise_m_s2: RMS of each axis of the sensor. latency: in samples.
     """
 
     name: fields.Words
@@ -155,15 +112,10 @@ class CoilTable(fields.TomlTable):
     latency: fields.Count = 0
     noise_m_s2: fields.NotNegative = 0.0
     saturation: fields.Positive | None = None
-    drift_db_per_min: fields.Finite = 0.0
 
 
 class SimulationTable(fields.TomlTable):
-    """`[simulation]`: hardware for machines that have none, played on by the device `simulated`.
-
-    speed: how many times as fast as real time it runs; latency: samples from sending to the sensor. It is no setting of
-    the rig: as real coils do, simulated ones may change without notice.
-    """
+    """`[simulation]`: hardware for machines that have none; latency: samples from sending to the sensor."""
 
     speed: Annotated[fields.Positive, Field(le=1000)] = 1.0
     latency: fields.Count = 960
@@ -182,10 +134,7 @@ class SyncTable(fields.TomlTable):
 
 
 class TriggerTable(fields.TomlTable):
-    """`[trigger]`: a code on a parallel or serial port at the onset of each stimulus, and 0 after it.
-
-    address: such as `/dev/parport0`, `0x0378`, `/dev/ttyUSB0` or `COM3`.
-    """
+    """`[trigger]`: a code on a parallel or serial port at the onset of each stimulus, and 0 after it."""
 
     port: Annotated[str, fields.one_of(("parallel", "serial"))]
     address: fields.Words
@@ -207,14 +156,12 @@ Decibels = Annotated[fields.Positive, Field(le=60)]
 class CalibrationTable(fields.TomlTable):
     """`[calibration]`: how `calibrate` measures the coils, and what a certificate must keep to pass.
 
-    max_gain_db: of a filter; where it is not given, gain and band are proposed for each coil by what was measured.
-    level: peak of the loudest sweep, as a part of what device and limits allow. sensor_uncertainty_db: from
-    its data sheet; gain_uncertainty_db: of typed gains.
+    max_gain_db: None to propose gain and band for each coil. level: peak of the loudest sweep, as a part of what device
+    and limits allow.
     """
 
     band_hz: BandHz = (20.0, 1000.0)
     max_gain_db: Decibels | None = None
-    phase: Annotated[str, fields.one_of(("corrected", "minimum"))] = "corrected"
     level: Level = 0.5
     sweep_s: Annotated[fields.Positive, Field(le=60)] = 4.0
     pause_s: Annotated[fields.Positive, Field(le=10)] = 1.0
@@ -229,12 +176,6 @@ class CalibrationTable(fields.TomlTable):
     gain_uncertainty_db: Decibels = 2.0
 
 
-VOICE_COILS = (
-    ActuatorTable(name="left coil", channel=1),
-    ActuatorTable(name="right coil", channel=2),
-)
-
-
 def _check_actuators(actuators: tuple[ActuatorTable, ...]) -> tuple[ActuatorTable, ...]:
     fields.check_some(tuple(actuator.name for actuator in actuators))
     return actuators
@@ -244,7 +185,10 @@ class Rig(fields.TomlTable):
     """The whole of `rig.toml`."""
 
     device: DeviceTable = DeviceTable()
-    actuators: Annotated[tuple[ActuatorTable, ...], AfterValidator(_check_actuators)] = VOICE_COILS
+    actuators: Annotated[tuple[ActuatorTable, ...], AfterValidator(_check_actuators)] = (
+        ActuatorTable(name="left coil", channel=1),
+        ActuatorTable(name="right coil", channel=2),
+    )
     limits: LimitsTable
     masking: MaskingTable | None = None
     sensor: SensorTable | None = None
@@ -281,10 +225,10 @@ def read_rig(path: Path) -> Rig:
         if len(shared) > 1
     ]
     names = [actuator.name for actuator in rig.actuators]
+    coils = {coil.name for coil in rig.simulation.coils} if rig.simulation else set()
     mistakes += [
-        f"simulation.coils must have the names of actuators ({', '.join(map(repr, names))}), got {coil.name!r}"
-        for coil in (rig.simulation.coils if rig.simulation else ())
-        if coil.name not in names
+        f"simulation.coils must have the names of actuators ({', '.join(map(repr, names))}), got {name!r}"
+        for name in sorted(coils.difference(names))
     ]
     if mistakes:
         raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
@@ -299,6 +243,14 @@ def require_sensor(rig: Rig) -> SensorTable:
             "'NAME=GAIN' (m/s² at full scale)"
         )
     return rig.sensor
+
+
+def advise_latency(rig: Rig) -> str:
+    """Say how a device runs dry less often; the pauses of sweeps must exceed the way there and back."""
+    advice, twice_s = "raise latency_s under [device] in rig.toml", 2 * rig.device.latency_s
+    if rig.calibration.pause_s > 2 * twice_s:  # there and back, were it twice as long
+        return advice
+    return f"{advice}, and pause_s under [calibration] to more than twice that"
 
 
 def take_device(rig: Rig, name: str) -> Rig:

@@ -33,7 +33,7 @@ class FileSink(Sink):
         self.blocks: list[Frames] = []
 
     def serve_due(self) -> bool:
-        """Fill a block that would have been played by now."""
+        """Fill a block that would have been played by now; returns whether there was one."""
         n_filled = BLOCK_FRAMES * len(self.blocks)
         if (self._clock() - self._begin_s) * self._rate_hz - n_filled < BLOCK_FRAMES:
             return False
@@ -57,28 +57,23 @@ class SimulatedCoil:
             raise ValueError(
                 f"rate_hz must be above twice the resonance of {coil.resonance_hz:g} Hz, got {rate_hz:g}"
             )
-        self.coil, self.rate_hz = coil, rate_hz
-        self._rng = rng
+        self._coil, self._rng = coil, rng
         direction = np.array(coil.direction or (1.0, 0.0, 0.0))
         self._direction = direction / np.linalg.norm(direction)
         self._b, self._a = discretise(coil, rate_hz=rate_hz)
-        self._state = np.zeros(2)
-        self._line = np.zeros(coil.latency)
-        self._n_done = 0
+        self._state, self._line = np.zeros(2), np.zeros(coil.latency)
 
     def process(self, drive: Samples) -> Samples:
         """Return acceleration in m/s², shape (3, n), for drive in full scales, shape (n,)."""
-        coil, n = self.coil, len(drive)
+        coil, n = self._coil, len(drive)
         self._line = np.concatenate([self._line, drive])
         late, self._line = self._line[:n], self._line[n:]
         if coil.saturation is not None:
             late = coil.saturation * np.tanh(late / coil.saturation)
         moved, self._state = signal.lfilter(self._b, self._a, late, zi=self._state)
-        minutes = (self._n_done + np.arange(n)) / self.rate_hz / 60
-        self._n_done += n
-        moved *= coil.full_scale_m_s2 * 10 ** (coil.drift_db_per_min * minutes / 20)
         noise = self._rng.standard_normal((n, 3)).T  # in time order, so that blocks do not matter
-        return np.outer(self._direction, moved) + coil.noise_m_s2 * noise
+        motion: Samples = np.outer(self._direction, coil.full_scale_m_s2 * moved)
+        return motion + coil.noise_m_s2 * noise
 
 
 def discretise(coil: CoilTable, *, rate_hz: float) -> tuple[Samples, Samples]:
@@ -92,7 +87,7 @@ class Hardware:
     """The coils and the sensor of a rig, without a device; they keep their state between blocks."""
 
     def __init__(self, rig: Rig, *, rate_hz: float) -> None:
-        simulation = rig.simulation or SimulationTable()
+        simulation, self._sensor = rig.simulation or SimulationTable(), rig.sensor
         tables = {coil.name: coil for coil in simulation.coils}
         self._rng = np.random.default_rng(simulation.seed)
         self._coils = []
@@ -104,25 +99,19 @@ class Hardware:
             coil = SimulatedCoil(own, rate_hz=rate_hz, rng=self._rng)
             self._coils.append((actuator.channel - 1, coil))
         self._noise_m_s2 = simulation.noise_m_s2
-        self._sensor = rig.sensor
         along = np.array([simulation.sensor_direction])
         several = rig.sensor is not None and len(rig.sensor.inputs) > 1
         self._axes = np.eye(3) if several else along / np.linalg.norm(along)
 
-    def move(self, out: Frames) -> Samples:
-        """Return what the sensor's place does, in m/s², shape (axes, n), for frames sent, shape (n, channels)."""
+    def sense(self, out: Frames) -> Frames | None:
+        """Return what the sensor's input gets for frames sent, shape (n, channels), as parts of its full scale."""
         motion = self._noise_m_s2 * self._rng.standard_normal((3, len(out)))
         for column, coil in self._coils:
             motion += coil.process(out[:, column].astype(np.float64))
-        moved: Samples = self._axes @ motion
-        return moved
-
-    def sense(self, out: Frames) -> Frames | None:
-        """Return what the sensor's input gets, as parts of its full scale, shape (n, axes); None without a sensor."""
-        moved = self.move(out)
         if self._sensor is None:
             return None
-        return np.clip(moved.T / self._sensor.full_scale_m_s2, -1, 1).astype(np.float32)
+        seen = (self._axes @ motion).T / self._sensor.full_scale_m_s2
+        return np.clip(seen, -1, 1).astype(np.float32)
 
 
 class SimulatedStream(Sink):
@@ -132,26 +121,20 @@ class SimulatedStream(Sink):
 
     def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
         super().__init__(rig, rate_hz=rate_hz, fill=fill, clock=clock)
+        self.identity |= {"host_api": "feel321", "is_program": False}
         simulation = rig.simulation or SimulationTable()
         self.latency_s = rig.device.latency_s
         self.there_and_back_s = rig.device.latency_s + simulation.latency / rate_hz
-        self._hardware = Hardware(rig, rate_hz=rate_hz)
-        self._speed = simulation.speed
-        self._sensed = self._hardware.sense(self._make_block())
+        self._hardware, self._speed = Hardware(rig, rate_hz=rate_hz), simulation.speed
+        self._sensed = self._hardware.sense(np.zeros((BLOCK_FRAMES, rig.n_channels), np.float32))
         self._begin_s, self._frame = perf_counter(), 0
         self._closing = Event()
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    @property
-    def identity(self) -> dict[str, object]:
-        """What a journal says of it."""
-        return {"device": self.name, "host_api": "feel321", "is_program": False}
-
-    @property
-    def is_active(self) -> bool:
-        """Whether it still asks for blocks."""
-        return self._thread.is_alive()
+    def find_fault(self) -> str:
+        """Say whether it has stopped asking for blocks."""
+        return "" if self._thread.is_alive() else "stopped"
 
     def compare_clocks(self) -> float:
         """Find by how much the session's clock is ahead of the device's, in s."""
@@ -161,9 +144,6 @@ class SimulatedStream(Sink):
         """Silence the device and let it go."""
         self._closing.set()
         self._thread.join()
-
-    def _make_block(self) -> Frames:
-        return np.zeros((BLOCK_FRAMES, self._rig.n_channels), dtype=np.float32)
 
     def _run(self) -> None:
         block_s = BLOCK_FRAMES / self._rate_hz
@@ -177,8 +157,9 @@ class SimulatedStream(Sink):
             self._serve()
 
     def _serve(self) -> None:
-        out, now_s = self._make_block(), self._frame / self._rate_hz
-        times = BlockTimes(now_s=now_s, dac_s=now_s + self.latency_s, adc_s=now_s)
+        out = np.zeros((BLOCK_FRAMES, self._rig.n_channels), dtype=np.float32)
+        now_s = self._frame / self._rate_hz
         self._frame += BLOCK_FRAMES
-        self._fill(out, times, self._sensed)  # as with a device, of the block before
+        # As with a device, what is sensed is of the block before.
+        self._fill(out, BlockTimes(now_s=now_s, dac_s=now_s + self.latency_s), self._sensed)
         self._sensed = self._hardware.sense(out)

@@ -390,7 +390,7 @@ def find_faults(played: Played, flow: Flow) -> dict[str, str]:
         "not_delivered": played.fault or "; ".join(filter(None, [loss, loss and played.notice])),
         "underrun": played.underruns
         and f"the device ran dry ({played.underruns} underruns): close other programs, switch off power saving, or "
-        "raise latency_s in rig.toml",
+        "raise latency_s in rig.toml (pause_s under [calibration] must be more than twice as long)",
         "clipped": played.clipped
         and f"{played.clipped} samples were limited: lower the level, or raise the limit in rig.toml",
     }

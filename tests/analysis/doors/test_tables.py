@@ -161,8 +161,7 @@ def test_scales_are_not_pooled(name: str, tidy: Callable[..., pd.DataFrame]) -> 
 def test_no_table_and_doubled_columns_are_refused(rated: pd.DataFrame) -> None:
     no_table: Any = {"rating": [1.0]}
     with pytest.raises(
-        TypeError,
-        match="ratings must be a Table or a DataFrame, one row per judgement, got dict",
+        TypeError, match="ratings must be a Table or a DataFrame, one row per judgement, got dict"
     ):
         open_ratings(no_table)
     with pytest.raises(

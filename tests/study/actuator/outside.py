@@ -97,9 +97,7 @@ def certify(loop: Loop, rig: Rig | None = None, *, max_gain_db: float = 45.0) ->
         frames = np.zeros((len(asked), 3))
         frames[:, place] = asked
         found = measure_sweep(sweep, loop.move(frames))
-        inverse = make_inverse(
-            found, max_gain_db=max_gain_db, n_taps=round(0.6 * RATE_HZ), phase="corrected"
-        )
+        inverse = make_inverse(found, max_gain_db=max_gain_db, n_taps=round(0.6 * RATE_HZ))
         grid_hz = np.arange(10.0, 1250.0, 0.5)
         known = np.interp(grid_hz, found.frequency_hz, found.response)
         coils[actuator.name] = CoilCertificate(

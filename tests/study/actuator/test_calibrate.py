@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import replace
-from datetime import UTC, datetime
+from dataclasses import asdict, replace
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -26,7 +26,7 @@ from feel321.study.actuator.certificate import (
     write_certificate,
 )
 from feel321.study.actuator.response import Sweep, find_slip, make_sweep, measure_sweep
-from feel321.study.actuator.rig import CoilTable, Rig, read_rig
+from feel321.study.actuator.rig import CoilTable, Rig, advise_latency, read_rig
 from feel321.study.actuator.simulated import BLOCK_FRAMES, Hardware, SimulatedCoil, SimulatedStream
 from feel321.study.cli import main
 
@@ -209,16 +209,50 @@ def test_limits_that_are_not_kept_are_named(rig: Rig, certificate: Certificate) 
     coil = certificate.coils["left coil"]
     bad = replace(
         coil, largest_db=4.2, worst_hz=33.0, uncertainty_db=2.5, total_distortion=0.3,
-        least_coherence=0.9, direction=-coil.direction,
+        least_coherence=0.9, direction=-coil.direction, band_hz=(60.0, 1000.0),
     )  # fmt: skip
-    lines = list(find_failures(rig, bad))
-    for line, part in zip(
-        lines,
-        ("4.2 dB off at 33 Hz", "known to 2.50 dB", "distorts by 30%", "coherence of 0.90", "moves 167°"),
-        strict=True,
-    ):  # fmt: skip
+    told = (
+        "4.2 dB off at 33 Hz", "known to 2.50 dB", "distorts by 30%", "coherence of 0.90",
+        "flat from 60 to 1000 Hz only, asked was 20 to 1000", "moves 167°",
+    )  # fmt: skip
+    for line, part in zip(find_failures(rig, bad), told, strict=True):
         assert part in line
     assert list(find_failures(rig, coil)) == []
+
+
+@pytest.mark.parametrize(("band_hz", "passes"), [((43.0, 1000.0), True), ((44.0, 1000.0), False)])
+def test_a_coil_passes_with_four_fifths_of_the_octaves_that_were_asked(
+    rig: Rig, certificate: Certificate, band_hz: tuple[float, float], passes: bool
+) -> None:
+    narrow = replace(certificate.coils["left coil"], band_hz=band_hz)
+    assert (list(find_failures(rig, narrow)) == []) is passes
+
+
+@pytest.mark.parametrize(("latency_s", "names_both"), [(0.05, False), (0.1, True), (0.3, True)])
+def test_advice_to_raise_the_latency_names_the_pause_that_it_may_exceed(
+    rig: Rig, latency_s: float, names_both: bool
+) -> None:
+    advice = advise_latency(alter(rig, "device", latency_s=latency_s))
+    assert advice.startswith("raise latency_s under [device] in rig.toml")
+    assert ("pause_s under [calibration]" in advice) is names_both
+
+
+def test_a_certificate_that_was_designed_anew_is_as_old_as_its_oldest_sweep(
+    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert rig.simulation is not None
+    sweep = Sweep(rate_hz=RATE_HZ, duration_s=1.0, pause_s=0.4, n_repeats=2)
+    coil = SimulatedCoil(
+        rig.simulation.coils[0], rate_hz=RATE_HZ, rng=np.random.default_rng(1)
+    ).process(make_sweep(sweep))
+    own = {"levels": np.ones(2), "linearity_db": np.zeros(2), "repeats_db": 0.0, "noise_m_s2": 0.1}
+    made = {"left coil": MADE - timedelta(days=20), "right coil": MADE - timedelta(days=3)}
+    found = asdict(measure_sweep(sweep, coil))
+    runs = {k: module.CoilRun(**found, **own, made=one.isoformat()) for k, one in made.items()}
+    monkeypatch.setattr(Calibration, "find_runs", lambda _: runs)
+    again = Calibration(rig=rig, rate_hz=RATE_HZ, made=MADE, folder=tmp_path).redesign()
+    assert again.made_utc == MADE.isoformat()
+    assert again.expires_utc == (MADE + timedelta(days=90 - 20)).isoformat()
 
 
 def call(study: Path, *arguments: str) -> int:
@@ -236,7 +270,7 @@ def test_the_verb_stores_a_certificate_and_its_figure(
     assert first.startswith(f"certificate {certificate.id} (measured): passed; valid until ")
     assert left == "left coil:"
     files = sorted(path.suffix for path in (tmp_path / "calibration").iterdir())
-    assert files == [".json", ".npz", ".svg"]
+    assert files == [".json", ".svg"]
     found = judge_certificates(tmp_path, rig, now=MADE, rate_hz=RATE_HZ)[0]
     assert found is not None
     assert found.id == certificate.id
@@ -400,7 +434,7 @@ def test_what_is_proposed_and_what_it_costs_is_said_before_it_is_written(
 
 
 def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
-    sweep = module.make_main(rig, rate_hz=RATE_HZ, peak=0.5)
+    sweep, _ = module.make_sweeps(rig, rate_hz=RATE_HZ, peak=0.5)
     sent = make_sweep(sweep)
     noise = np.random.default_rng(1).standard_normal((3, len(sent)))
     whole = np.outer([1.0, 0.5, 0.0], sent) + 0.01 * noise
@@ -410,7 +444,7 @@ def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
         assert find_slip(cut, sweep) == pytest.approx(37, rel=0.3)
     assert find_slip(0.01 * noise, sweep) == 0
     played = iter([cut, cut, whole, *[cut] * output_module.N_TRIES])
-    bench: Any = SimpleNamespace(play=lambda *_, **__: next(played))
+    bench: Any = SimpleNamespace(rig=rig, play=lambda *_, **__: next(played))
     bench.insist = partial(output_module.Bench.insist, bench)
     assert output_module.Bench.play_sweep(bench, sent, sweep, 1) is whole
     with pytest.raises(OSError, match=r"are \d+ samples out of step, 4 times in a row"):

@@ -3,7 +3,7 @@ from __future__ import annotations
 import hashlib
 from time import perf_counter, sleep
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -62,8 +62,11 @@ ALONG = np.array([1, 1, 0]) / np.sqrt(2)  # the way in which both coils move the
 TILTED = np.array([0.48, 0.6, 0.64])  # a sensor that looks along no axis
 
 
+Built: TypeAlias = "tuple[StimulusSet, dict[str, Baseline]]"
+
+
 @pytest.fixture(scope="module")
-def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[StimulusSet, dict[str, Baseline]]:
+def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
     """Two scenes at both levels, with the offset that mag321 makes, anchors and the three axes."""
     recordings = [
         make_scene(name, duration_s=1.0, rate_hz=rate)
@@ -74,7 +77,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[StimulusSet, dict[s
     return stimuli, reduce_stimuli(stimuli, recordings, recipe)
 
 
-def make_check(built: tuple[StimulusSet, dict[str, Baseline]], **choices: Any) -> DeliveryCheck:
+def make_check(built: Built, **choices: Any) -> DeliveryCheck:
     stimuli, reduced = built
     own = {"full_scale_m_s2": FULL_SCALE, "reduced": reduced, **choices}
     return DeliveryCheck(stimuli, RIG, **own)
@@ -118,9 +121,7 @@ def test_noise_lowers_coherence_by_its_share_and_leaves_the_level() -> None:
 
 
 @pytest.mark.parametrize("axes", [1, 3])
-def test_what_is_asked_delivers_the_metrics_of_the_manifest(
-    built: tuple[StimulusSet, dict[str, Baseline]], axes: int
-) -> None:
+def test_what_is_asked_delivers_the_metrics_of_the_manifest(built: Built, axes: int) -> None:
     stimuli, check = built[0], make_check(built)
     for one in stimuli:
         motion = read_motion(stimuli, one)
@@ -136,9 +137,7 @@ def test_what_is_asked_delivers_the_metrics_of_the_manifest(
             assert {name: found[name] for name in MATCHES} == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_sensor_with_one_axis_saw_each_coil_by_itself(
-    built: tuple[StimulusSet, dict[str, Baseline]],
-) -> None:
+def test_a_sensor_with_one_axis_saw_each_coil_by_itself(built: Built) -> None:
     """Two coils at right angles, each found as strong as asked by the one axis, add up there; one is inverted."""
     stimuli = built[0]
     one = stimuli["bumps__sax321__as_is"]
@@ -151,9 +150,7 @@ def test_a_sensor_with_one_axis_saw_each_coil_by_itself(
         assert found["spectral_match"] == pytest.approx(one.spectral_match, abs=1e-5)
 
 
-def test_swapped_axes_are_no_longer_coherent(
-    built: tuple[StimulusSet, dict[str, Baseline]],
-) -> None:
+def test_swapped_axes_are_no_longer_coherent(built: Built) -> None:
     stimuli = built[0]
     one = stimuli["isotropic_rumble__reference__as_is"]
     motion = read_motion(stimuli, one)
@@ -164,9 +161,7 @@ def test_swapped_axes_are_no_longer_coherent(
     assert wrong["temporal_match"] < right["temporal_match"] - 0.2
 
 
-def test_a_certificate_stands_in_for_a_sensor_and_is_asked_once(
-    built: tuple[StimulusSet, dict[str, Baseline]],
-) -> None:
+def test_a_certificate_stands_in_for_a_sensor_and_is_asked_once(built: Built) -> None:
     stimuli = built[0]
     one = stimuli["bumps__sax321__as_is"]
     sent = np.zeros((48000, 3), dtype=np.float32)
@@ -242,9 +237,7 @@ def play(tmp_path: Path, stimuli: StimulusSet, *, check: DeliveryCheck, text: st
         return output.collect()
 
 
-def test_the_sensor_measures_what_was_asked(
-    built: tuple[StimulusSet, dict[str, Baseline]], tmp_path: Path
-) -> None:
+def test_the_sensor_measures_what_was_asked(built: Built, tmp_path: Path) -> None:
     stimuli = built[0]
     (tmp_path / "right.toml").write_text(ONE_COIL, encoding="utf-8")
     rig = read_rig(tmp_path / "right.toml")

@@ -23,24 +23,13 @@ RIG = Rig(
     limits=LimitsTable(peak_m_s2=100, rms_m_s2=50, duration_s=60),
     sensor=SensorTable(channel=3, full_scale_m_s2=20),
 )
-RUN = [
-    sys.executable,
-    "-c",
-    "import sys; from feel321.study.cli import main; sys.exit(main())",
-    "doctor",
-]
+RUN = "import sys; from feel321.study.cli import main; sys.exit(main())"
 
 
 def call(pulse: Any, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    done = subprocess.run(
-        [*RUN, *arguments],
-        env=pulse.env,
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+    how: Any = {"env": pulse.env, "cwd": cwd, "capture_output": True, "text": True, "timeout": 300}
+    command = [sys.executable, "-c", RUN, "doctor", *arguments]
+    done = subprocess.run(command, check=False, **how)
     # ALSA and PortAudio speak of underruns on their own account; doctor counts them too.
     foreign = ("ALSA lib", "Expression '")
     done.stderr = "".join(
@@ -71,16 +60,8 @@ def test_pulses_are_played_quietly_and_measured(
 
     def examine() -> tuple[Any, Any]:
         with pulse.captured() as capture:
-            done = call(
-                pulse,
-                str(tmp_path),
-                "--device",
-                "stylus twin",
-                "--seconds",
-                "2",
-                "--json",
-                cwd=tmp_path,
-            )
+            options = ("--device", "stylus twin", "--seconds", "2", "--json")
+            done = call(pulse, str(tmp_path), *options, cwd=tmp_path)
         return done, capture
 
     def is_disturbed(found: tuple[Any, Any]) -> bool:
@@ -95,10 +76,8 @@ def test_pulses_are_played_quietly_and_measured(
     done, capture = insist(examine, is_disturbed=is_disturbed)
     # The sensor is the monitor of channel 4, on which only the spare coil plays.
     faults = [line.removeprefix("feel321: ") for line in done.stderr.splitlines()]
-    assert [fault.split(":")[0] for fault in faults if "program plays" not in fault] == [
-        "left",
-        "right",
-    ]
+    named = [fault.split(":")[0] for fault in faults if "program plays" not in fault]
+    assert named == ["left", "right"]
     assert done.returncode == 1
     found = json.loads(done.stdout)["examination"]
     assert found["is_program"] is True
@@ -139,10 +118,12 @@ def test_a_pulse_is_found_to_the_millisecond_or_not_at_all(
     found = find_pulse(listen(**heard, rate_hz=rate_hz)[None], make_pulse(RIG, rate_hz=rate_hz))
     assert (found is not None) == is_there
     if found is not None:
-        assert 1e3 * found / rate_hz == pytest.approx(
-            100, abs=4
-        )  # a quarter of a period, and the resonance
+        # A quarter of a period, and the resonance.
+        assert 1e3 * found / rate_hz == pytest.approx(100, abs=4)
     assert find_pulse(None, make_pulse(RIG, rate_hz=rate_hz)) is None
+
+
+PROBE = Sweep(rate_hz=48000, band_hz=(30, 800), duration_s=0.8, pause_s=0.3, n_repeats=2, peak=0.2)
 
 
 @pytest.mark.parametrize(
@@ -157,15 +138,11 @@ def test_a_pulse_is_found_to_the_millisecond_or_not_at_all(
     ],
 )
 def test_a_coil_without_a_certificate_is_judged_by_rig_toml(change: Any, fault: str) -> None:
-    rig = make_rig()
-    sweep = Sweep(
-        rate_hz=48000, band_hz=(30, 800), duration_s=0.8, pause_s=0.3, n_repeats=2, peak=0.2
-    )
-    sent = make_sweep(sweep)
+    rig, sent = make_rig(), make_sweep(PROBE)
     frames = np.zeros((len(sent), 3))
     frames[:, 1] = sent
     recorded = Loop().but(**change).move(frames)
-    seen = measure_sweep(sweep, recorded) if recorded.any() else None
+    seen = measure_sweep(PROBE, recorded) if recorded.any() else None
     found = find_fault(rig, rig.actuators[1], seen, recorded=recorded, sent=sent)
     assert found.startswith(fault)
     assert bool(found) == bool(fault)
@@ -173,13 +150,8 @@ def test_a_coil_without_a_certificate_is_judged_by_rig_toml(change: Any, fault: 
 
 def test_a_sink_that_lacks_the_third_channel_is_named() -> None:
     """A sound server mixes what it has no channel for into the others."""
-    rig = make_rig()
-    sweep = Sweep(
-        rate_hz=48000, band_hz=(30, 800), duration_s=0.8, pause_s=0.3, n_repeats=2, peak=0.2
-    )
-    sent = make_sweep(sweep)
+    rig, sent = make_rig(), make_sweep(PROBE)
     recorded = Loop().move(np.outer(sent, (0.7, 0.7, 0.0)))
-    found = find_fault(
-        rig, rig.actuators[2], measure_sweep(sweep, recorded), recorded=recorded, sent=sent
-    )
+    seen = measure_sweep(PROBE, recorded)
+    found = find_fault(rig, rig.actuators[2], seen, recorded=recorded, sent=sent)
     assert found.startswith("dead, its samples move left and right: the sink lacks channel 3")

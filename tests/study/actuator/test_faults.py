@@ -149,6 +149,15 @@ def test_what_nothing_explains_is_unknown_with_the_figures() -> None:
     assert found.startswith("unknown cause, and the figures are: left gain ")
 
 
+def test_a_coil_that_is_late_by_itself_is_not_called_dead() -> None:
+    sent = send(certified("ordinary"), *(make_track(seed, peak=6.0) for seed in (1, 2, 3)))
+    late = np.pad(sent, ((0, 960), (0, 0)))
+    late[:, 1] = np.roll(late[:, 1], 960)
+    found = Diagnosis(certified("ordinary"), make_rig())
+    told = found.judge(sent, play(LOOPS["ordinary"], late))
+    assert told.startswith("right: unknown cause, and the figures are: right gain ")
+
+
 def test_a_delay_counts_only_where_nothing_else_may_have_moved_it() -> None:
     track = make_track(1, peak=6.0)
     sent = send(certified("ordinary"), track, track, track)
@@ -186,15 +195,29 @@ def test_coils_in_one_direction_are_judged_together() -> None:
 
 @pytest.mark.parametrize("frequency_hz", [20.3, 35.7, 61.1, 120.9])
 @pytest.mark.parametrize("peak", [3.0, 20.0, 90.0])
-def test_the_crest_of_a_slow_quantised_wave_is_no_saturation(
-    frequency_hz: float, peak: float
+@pytest.mark.parametrize("cut", [0.5, 0.9, 0.99, 1.1])
+def test_slow_waves_that_are_cut_are_saturated_and_their_own_flat_crests_are_not(
+    frequency_hz: float, peak: float, cut: float
 ) -> None:
     """As a clean input of 16 bits and 100 m/s² gives it: many equal samples at the top."""
     step = 100 / 2**15
     wave = peak * np.sin(2 * np.pi * frequency_hz * np.arange(RATE_HZ) / RATE_HZ)
     noise = np.random.default_rng(2).uniform(-0.2, 0.2, (3, RATE_HZ)) * step
-    seen = np.round((wave + noise) / step) * step
-    assert find_sensor_fault(seen, full_scale_m_s2=100.0) == ""
+    seen = np.clip(np.round((wave + noise) / step) * step, -cut * peak, cut * peak)
+    found = find_sensor_fault(seen, full_scale_m_s2=100.0)
+    assert found.startswith(f"sensor saturated at {cut * peak:.3g} m/s²" if cut < 1 else "")
+    assert bool(found) == (cut < 1)
+
+
+@pytest.mark.parametrize("bits", [12, 16, 24])
+def test_healthy_playbacks_of_any_strength_and_resolution_are_not_saturated(bits: int) -> None:
+    rng, step = np.random.default_rng(0), 200 / 2 ** (bits - 1)
+    for seed in range(40):
+        track = make_track(seed, peak=np.exp(rng.uniform(-4, 3)), seconds=rng.uniform(0.1, 1.0))
+        seen = track + rng.normal(0, rng.choice([0, 0.3, 3]) * step, (3, len(track))) + 9.81
+        assert "saturated" not in find_sensor_fault(
+            np.round(seen / step) * step, full_scale_m_s2=200
+        )
 
 
 def test_a_certificate_is_not_valid_with_another_scale_of_the_sensor_but_without_a_sensor() -> None:

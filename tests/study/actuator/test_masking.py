@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -43,13 +44,8 @@ def test_the_loop_does_not_click(n: int) -> None:
 
 def masker(ramp: int = RAMP, lead: int = LEAD, noise: np.ndarray | None = None) -> Masker:
     ones = np.ones(4096, dtype=np.float32)
-    return Masker(
-        ones if noise is None else noise,
-        columns=COLUMNS,
-        ramp_frames=ramp,
-        lead_frames=lead,
-        max_frames=4096,
-    )
+    own: Any = {"ramp_frames": ramp, "lead_frames": lead, "max_frames": 4096}
+    return Masker(ones if noise is None else noise, columns=COLUMNS, **own)
 
 
 def run(watch: Masker, n: int, *, frame: int = 0, size: int = 64) -> np.ndarray:
@@ -82,11 +78,7 @@ def test_it_begins_before_and_ends_after(gap: int, length: int, size: int) -> No
 @pytest.mark.parametrize(
     ("gap", "is_gone"),
     [(0, False), (LEAD + 5, False), (500, True)],
-    ids=[
-        "nobody waits where it still is",
-        "it stays where it would be back at once",
-        "it comes again",
-    ],
+    ids=["it stays", "it stays where it would be back at once", "it comes again"],
 )
 def test_the_next_stimulus_decides_whether_it_goes(gap: int, is_gone: bool) -> None:
     watch = masker()

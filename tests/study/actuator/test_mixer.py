@@ -61,13 +61,9 @@ def test_what_comes_out_is_the_stimulus(sizes: list[int], gap: int) -> None:
     assert_array_equal(out[gap : gap + 3000], sounds["a"])
     assert not out[:gap].any()
     assert not out[gap + 3000 :].any()
-    assert (cue.onset_frame, cue.n_played, cue.clipped, cue.is_over, cue.is_complete) == (
-        gap,
-        3000,
-        0,
-        True,
-        True,
-    )
+    assert (cue.onset_frame, cue.n_played, cue.clipped) == (gap, 3000, 0)
+    assert cue.is_over
+    assert cue.is_complete
     assert mixer.frame == 5000
 
 
@@ -156,12 +152,8 @@ def test_a_device_that_begins_anew_begins_in_silence() -> None:
     fill(mixer, 1000, [100], 5)
     waiting = mixer.start("b", gap_s=0)
     mixer.reset()
-    assert (cut.is_over, cut.is_complete, waiting.is_over, mixer.is_playing) == (
-        True,
-        False,
-        True,
-        False,
-    )
+    assert (cut.is_over, cut.is_complete, waiting.is_over) == (True, False, True)
+    assert not mixer.is_playing
     assert not fill(mixer, 2000, [100], 5).any()
     cue = mixer.start("b", gap_s=0)
     out = fill(mixer, 4000, [100], 5)

@@ -46,12 +46,8 @@ def noise(n: int, *, channels: int = 1, rms: float = 0.2) -> np.ndarray:
 
 def test_equal_scales_leave_every_bit(tmp_path: Path) -> None:
     samples = noise(500)
-    rig = make_rig(
-        coil("one", 1),
-        coil("two", 4),
-        masking=MaskingTable(channels=(2,)),
-        sync=SyncTable(channel=6),
-    )
+    others = {"masking": MaskingTable(channels=(2,)), "sync": SyncTable(channel=6)}
+    rig = make_rig(coil("one", 1), coil("two", 4), **others)
     rendered = render_stimulus(store(tmp_path, samples), tmp_path, rig, full_scale_m_s2=100.0)
     assert rendered.dtype == np.float32
     assert rendered.shape == (500, 6)
@@ -86,13 +82,9 @@ def test_axes_go_to_those_who_play_them(tmp_path: Path) -> None:
 def test_what_nobody_plays_is_refused(
     samples: np.ndarray, plays: tuple[str, ...], message: str, tmp_path: Path
 ) -> None:
+    rig = make_rig(coil("a", 1, *plays))
     with pytest.raises(ValueError, match=message):
-        render_stimulus(
-            store(tmp_path, samples),
-            tmp_path,
-            make_rig(coil("a", 1, *plays)),
-            full_scale_m_s2=100.0,
-        )
+        render_stimulus(store(tmp_path, samples), tmp_path, rig, full_scale_m_s2=100.0)
 
 
 def problems(

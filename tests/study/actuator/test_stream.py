@@ -152,12 +152,8 @@ class Trials:
 
     @property
     def is_punctual(self) -> bool:
-        return (
-            self.underrun_share < 0.1
-            and self.jitter_ms[0] < 2
-            and self.jitter_ms[1] < 10
-            and self.late_s < 0.25
-        )
+        is_steady = self.jitter_ms[0] < 2 and self.jitter_ms[1] < 10
+        return is_steady and self.underrun_share < 0.1 and self.late_s < 0.25
 
 
 def sum_up(deliveries: Sequence[Any], places: Sequence[int]) -> Trials:
@@ -176,14 +172,9 @@ def sum_up(deliveries: Sequence[Any], places: Sequence[int]) -> Trials:
 
 @pytest.mark.parametrize("n_trials", [25, pytest.param(500, marks=pytest.mark.soak)])
 def test_every_trial_arrives_whole_or_its_underrun_is_flagged_and_onsets_are_true(
-    pulse: Any,
-    open_player: Any,
-    make_rig: Any,
-    make_sound: Any,
-    insist: Any,
+    pulse: Any, open_player: Any, make_rig: Any, make_sound: Any, insist: Any, n_trials: int,
     record_testsuite_property: Any,
-    n_trials: int,
-) -> None:
+) -> None:  # fmt: skip
     sounds = {f"s{n}": make_sound(n, n=2400, channels=4) for n in range(n_trials)}
     # A machine that tests has much to do.
     player = open_player(pulse, make_rig(channels=4, latency_s=0.1), sounds)

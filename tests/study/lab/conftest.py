@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ import pytest
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
 from feel321.study.workflow import build_study
+from tests.study.actuator.pulse import Pulse
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -79,13 +81,6 @@ duration_s = 30.0
 
 AXES = {"left": ["reduced", "x", "z"], "right": ["reduced", "y"]}
 """What either coil plays where three axes are to be felt on two channels."""
-
-ASOUND = """
-pcm.!default { type pulse }
-ctl.!default { type pulse }
-pcm.pulse { type pulse }
-ctl.pulse { type pulse }
-"""
 
 
 @dataclass
@@ -227,63 +222,22 @@ def lab(screen: str) -> Iterator[Lab]:
     lab.close()
 
 
-@dataclass
-class Sound:
-    """A private PulseAudio, whose only sink is a null sink with two channels."""
-
-    folder: Path
-    server: subprocess.Popen[bytes] | None = None
-
-    @property
-    def env(self) -> dict[str, str]:
-        own = {
-            "XDG_RUNTIME_DIR": self.folder,
-            "PULSE_RUNTIME_PATH": self.folder,
-            "HOME": self.folder,
-        }
-        return {name: str(path) for name, path in own.items()} | {
-            "ALSA_CONFIG_PATH": str(self.folder / "asound.conf"),
-            "PULSE_SERVER": f"unix:{self.folder / 'native'}",
-        }
-
-    def start(self) -> None:
-        system = Path("/usr/share/alsa/alsa.conf")
-        conf = f"<{system}>\n{ASOUND}" if system.is_file() else ASOUND
-        (self.folder / "asound.conf").write_text(conf, encoding="utf-8")
-        sink = "module-null-sink sink_name=stylus rate=48000 channels=2 format=float32le"
-        options = ["--exit-idle-time=-1", "-n", "--daemonize=no", "--use-pid-file=no"]
-        socket = f"module-native-protocol-unix auth-anonymous=1 socket={self.folder / 'native'}"
-        command = ["pulseaudio", *options, f"--load={socket}", f"--load={sink}"]
-        quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-        self.server = subprocess.Popen(command, env={**os.environ, **self.env}, **quiet)
-        end_s = time.monotonic() + PATIENCE_S
-        while subprocess.run(
-            ["pactl", "info"], env={**os.environ, **self.env}, **quiet, check=False
-        ).returncode:
-            assert time.monotonic() < end_s, "PulseAudio did not start"
-            time.sleep(0.1)
-
-    def kill(self) -> None:
-        if self.server is not None:
-            self.server.kill()
-            self.server.wait()
-            self.server = None
-
-
 @pytest.fixture(scope="session")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sound]:
-    sound = Sound(tmp_path_factory.mktemp("sound"))
-    sound.start()
-    yield sound
-    sound.kill()
+def sound() -> Iterator[Pulse]:
+    # A socket's path must be short, which a test's own folder is not.
+    with tempfile.TemporaryDirectory(prefix="feel321-", ignore_cleanup_errors=True) as folder:
+        sound = Pulse(Path(folder), 2)
+        sound.start()
+        yield sound
+        sound.kill()
 
 
 @pytest.fixture
-def rig(lab: Lab, sound: Sound) -> Lab:
+def rig(lab: Lab, sound: Pulse) -> Lab:
     """The private screen with actuators on the private PulseAudio, should a test have ended it or not."""
     if sound.server is None:
         sound.start()
-    lab.env |= sound.env
+    lab.env |= sound.own_env
     return lab
 
 

@@ -30,7 +30,7 @@ TOTAL = 4
 
 INTERRUPTED = "feel321: interrupted; what is done is kept, the same command continues"
 
-STREAM = "pulse"
+STREAM = "stylus"
 """The device of the private PulseAudio as PortAudio lists it."""
 
 
@@ -154,17 +154,8 @@ def answer_by_keys(session: Any, *, is_felt: bool) -> None:
 
 def answer_by_mouse(session: Any, *, is_felt: bool) -> None:
     """Click where the layout has slider and button on the whole screen of 1024 by 768 pixels."""
-    trial = Trial(
-        1,
-        1,
-        1,
-        "realism",
-        "realism",
-        "replay",
-        "bumps",
-        (Part("test", "s1"),),
-        (Judgement("test", "s1"),),
-    )
+    names = ("realism", "realism", "replay", "bumps")
+    trial = Trial(1, 1, 1, *names, (Part("test", "s1"),), (Judgement("test", "s1"),))
     texts, scale = make_screen_texts(read_texts()), read_scales()["realism"]
     view = View("slider", "answering", 1, Place(0, TOTAL), trial=trial, scale=scale)
     targets = {target.name: target for target in compose(view, texts, size=(1024, 768)).targets}

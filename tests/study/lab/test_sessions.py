@@ -194,7 +194,7 @@ def test_scales_questions_and_choices_are_killed_twice_resumed_and_analysed(
 def test_a_reference_of_three_axes_is_felt_through_the_sound_server(
     rig: Any, make_study: Callable[..., StudyFolder]
 ) -> None:
-    study = make_study("similarity", device="pulse", reference="original")
+    study = make_study("similarity", device="stylus", reference="original")
     session = rig.start(study, "sim001", *HAND)
     code, _, err = session.finish()
     assert (code, err) == (0, "")
@@ -207,4 +207,4 @@ def test_a_reference_of_three_axes_is_felt_through_the_sound_server(
     assert len(whole) >= 2 * read_status(study).participants[0].done
     assert all(entry["completed"] and entry["measured"]["n_samples"] == 7200 for entry in whole)
     device = next(record.data for record in session.records if record.event == "device")
-    assert "pulse" in str(device)
+    assert "stylus" in str(device)

@@ -8,8 +8,8 @@ from feel321.study.people import Progress, RigUse, describe_rigs, digest_setting
 RIG = Rig(limits=LimitsTable(peak_m_s2=10, rms_m_s2=5, duration_s=3))
 
 
-def test_the_digest_of_a_sensor_by_its_data_sheet_is_that_of_the_rig() -> None:
-    sensor = SensorTable(channel=1, sensitivity_mv_per_g=100.0, input_peak_v=1.63)
+def test_the_digest_of_an_identity_is_that_of_the_rig() -> None:
+    sensor = SensorTable(channel=1, full_scale_m_s2=160.0)
     own = RIG.model_copy(update={"sensor": sensor})
     assert digest_settings(json.dumps(identify(own))) == digest(own)
 
