@@ -12,15 +12,14 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, SupportsFloat, TypeVar
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import ArrayLike, NDArray
 
 
-TICK_S = 1.0
-"""Between two looks of a progress bar at the clock."""
+TICK_S = 1.0  # between two looks of a progress bar at the clock
 
 _SHOW: ContextVar[Callable[[str], object]] = ContextVar("_SHOW", default=str)
 """Shows what is being done. Not an argument: it is of use only where somebody watches, and work knows no watchers."""
@@ -47,7 +46,7 @@ def as_rng(rng: int | np.random.Generator, what: str = "rng") -> np.random.Gener
 
 
 def as_seed(rng: int | np.random.Generator) -> int:
-    """Take the seed that is given, or draw one from a generator: for results that have many sources of randomness."""
+    """Take the seed that is given, or draw one from a generator."""
     import numpy as np
 
     generator = as_rng(rng)
@@ -115,15 +114,7 @@ def as_names(names: Iterable[str], what: str) -> tuple[str, ...]:
 
 
 def check_name(name: str, names: Collection[str], what: str) -> str:
-    """Return a name that is one of several, or refuse it and list them.
-
-    Examples
-    --------
-    >>> check_name("dft312", ["dft321", "pca321"], "reducer")
-    Traceback (most recent call last):
-        ...
-    ValueError: reducer must be one of dft321, pca321; got 'dft312', did you mean 'dft321'?
-    """
+    """Return a name that is one of several, or refuse it and list them."""
     if isinstance(name, str) and name in names:
         return name
     raise ValueError(refuse_name(name, names, what))
@@ -137,21 +128,12 @@ def refuse_name(name: object, names: Collection[str], what: str) -> str:
 
 
 def clean_text(text: str, *, keep: str = "") -> str:
-    r"""Spell out what a terminal would obey and a reader not see: control, direction and other format characters.
-
-    Examples
-    --------
-    >>> clean_text("tap\x1b[2J\u202egpj")
-    'tap\\u001b[2J\\u202egpj'
-    """
-    if text.isprintable():
-        return text
-
-    def spell(character: str) -> str:
-        # As JSON does, so that what was printed as JSON stays what it was.
-        return json.dumps(character)[1:-1].replace("\x7f", "\\u007f")
-
-    return "".join(c if c.isprintable() or c in keep else spell(c) for c in text)
+    """Spell out, as JSON does, what a terminal would obey and a reader not see: control and format characters."""
+    spelt = (
+        c if c.isprintable() or c in keep else json.dumps(c)[1:-1].replace("\x7f", "\\u007f")
+        for c in text
+    )
+    return "".join(spelt)
 
 
 def describe(value: object) -> str:
@@ -211,21 +193,8 @@ def check_rate(rate_hz: SupportsFloat | str, what: str = "rate_hz", unit: str = 
 Entry = TypeVar("Entry")
 
 
-class Registry(Mapping[str, Entry]):
-    """An ordered mapping of names; an entry is also an attribute, and a wrong name lists the right ones.
-
-    Examples
-    --------
-    >>> colours = Registry("colour", {"red": 1, "green": 2})
-    >>> colours["red"], colours.green, colours.find(len) is len
-    (1, 2, True)
-    >>> colours["grene"]
-    Traceback (most recent call last):
-        ...
-    KeyError: "colour must be one of red, green; got 'grene', did you mean 'green'?"
-    """
-
-    __slots__ = ("_entries", "_find", "_what")
+class Registry(dict[str, Entry]):
+    """An ordered mapping of names; an entry is also an attribute, and a wrong name lists the right ones."""
 
     def __init__(
         self,
@@ -235,59 +204,42 @@ class Registry(Mapping[str, Entry]):
         find: Callable[[str, Collection[str]], Entry] | None = None,
     ) -> None:
         """Take the entries, and how to find one that a lab adds, from what it is given as and the names taken."""
-        self._what, self._entries, self._find = what, dict(entries), find
+        super().__init__(entries)
+        self._what, self._find = what, find
 
-    def __getitem__(self, name: str) -> Entry:
-        """Return an entry."""
-        try:
-            return self._entries[name]
-        except KeyError:
-            raise KeyError(refuse_name(name, self._entries, self._what)) from None
-
-    def admit(self, name: str, entry: Entry) -> None:
-        """Put an entry of a lab's own beside the others, or in place of its former self."""
-        self._entries[name] = entry
+    def __missing__(self, name: str) -> NoReturn:
+        """Refuse a name."""
+        raise KeyError(refuse_name(name, self, self._what))
 
     def __getattr__(self, name: str) -> Entry:
         """Return an entry, so that Tab completes names."""
-        if name.startswith("_"):
+        if name.startswith("_") or name not in self:
             raise AttributeError(name)
-        try:
-            return self[name]
-        except KeyError as error:
-            raise AttributeError(error.args[0]) from None
-
-    def __iter__(self) -> Iterator[str]:
-        """Iterate over the names, in order."""
-        return iter(self._entries)
-
-    def __len__(self) -> int:
-        """Count the entries."""
-        return len(self._entries)
+        return self[name]
 
     def __dir__(self) -> list[str]:
         """List the names, for Tab."""
-        return [*super().__dir__(), *self._entries]
+        return [*super().__dir__(), *self]
 
     def __repr__(self) -> str:
         """List the names."""
-        return f"<{self._what}: {', '.join(self._entries)}>"
+        return f"<{self._what}: {', '.join(self)}>"
 
     def find(self, given: str | Entry) -> Entry:
         """Return the entry of a name, one that a lab adds, or what is given itself."""
         if not isinstance(given, str):
             return given
-        if given in self._entries:
-            return self._entries[given]
+        if given in self:
+            return self[given]
         if self._find is None:
-            raise ValueError(refuse_name(given, self._entries, self._what))
-        return self._find(given, self._entries)
+            raise ValueError(refuse_name(given, self, self._what))
+        return self._find(given, self)
 
     def choose(self, wanted: str | Entry | Iterable[str | Entry] = "all") -> dict[str, Entry]:
         """Return several entries by name, as wanted: "all", a list of what `find` takes, one entry, or a mapping."""
         if isinstance(wanted, str):
             if wanted == "all":
-                return dict(self._entries)
+                return dict(self)
             as_names(wanted, f"{self._what}s")
         if isinstance(wanted, Mapping):
             return {name: self.find(one) for name, one in wanted.items()}
@@ -308,30 +260,21 @@ def name_of(method: object) -> str:
     return getattr(method, "__name__", repr(method))
 
 
-def import_lazily(face: str, places: Mapping[str, str]) -> Callable[[str], Any]:
-    """Make a face's `__getattr__`, which imports a name when it is asked for; places: "module:name" of each name."""
+def import_lazily(face: str, path: str) -> Callable[[str], Any]:
+    """Make a face's `__getattr__`: what it imports for type checkers only is imported when it is asked for.
 
-    def find(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for
-        if name not in places:
-            raise AttributeError(f"module {face!r} has no attribute {name!r}")
-        module, _, attribute = places[name].partition(":")
-        return getattr(importlib.import_module(module), attribute)
-
-    return find
-
-
-def list_imports(path: str) -> dict[str, str]:
-    """List what a face imports for type checkers only, for `import_lazily` to import when it is asked for.
-
-    So each name of a face stands in one import, which a type checker reads as it is; the values are "module:name".
+    So each name of a face stands in one import, which a type checker reads as it is.
     """
     import ast
 
     tree = ast.parse(Path(path).read_text(encoding="utf-8"))
     nodes = [node for branch in tree.body if isinstance(branch, ast.If) for node in branch.body]
-    return {
-        alias.name: f"{node.module}:{alias.name}"
-        for node in nodes
-        if isinstance(node, ast.ImportFrom)
-        for alias in node.names
-    }
+    imports = [node for node in nodes if isinstance(node, ast.ImportFrom)]
+    places = {alias.name: str(node.module) for node in imports for alias in node.names}
+
+    def find(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for
+        if name not in places:
+            raise AttributeError(f"module {face!r} has no attribute {name!r}")
+        return getattr(importlib.import_module(places[name]), name)
+
+    return find

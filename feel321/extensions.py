@@ -50,19 +50,15 @@ GROUPS: Mapping[str, str] = {
 }
 """Kind of method -> group of entry points; the only list of kinds."""
 
-FORMS = "a registered name, mylab.haptics:my321, or methods/my321.py:my321"
-"""How a method is given, for messages."""
-
-LONGEST_REASON = 200
-"""Characters of a lab's own error message that are repeated."""
+OWN_FORMS = "mylab.haptics:my321, or methods/my321.py:my321"
+FORMS = f"a registered name, {OWN_FORMS}"  # how a method is given, for messages
+RECORDING = "{recording}"  # stands for a recording's name in that of a file made of it
+LONGEST_REASON = 200  # characters of a lab's own error message that are repeated
 
 _TURN = threading.RLock()
 """Held while a lab's code runs: standard output belongs to the process, and few functions expect two callers."""
 
 Origin = Literal["file", "module", "function", "command", "made"]
-
-RECORDING = "{recording}"
-"""Stands for a recording's name in that of a file made of it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,8 +148,8 @@ def is_given(kind: str, name: str, declared: Collection[str] = ()) -> bool:
 
 
 @cache
-def _sort_entry_points(group: str, path: tuple[str, ...]) -> list[EntryPoint]:  # noqa: ARG001 - where packages are
-    """Sort the entry points of a group; to look through all packages takes longer than to read a short recording."""
+def _read_entry_points(group: str, path: tuple[str, ...]) -> list[EntryPoint]:  # noqa: ARG001 - where packages are
+    """Read the entry points of a group; to look through all packages takes longer than to read a short recording."""
     from importlib.metadata import entry_points
 
     return sorted(entry_points(group=group), key=lambda one: (one.name, one.value))
@@ -162,7 +158,7 @@ def _sort_entry_points(group: str, path: tuple[str, ...]) -> list[EntryPoint]:  
 def list_entry_points(kind: str) -> dict[str, str]:
     """List the methods of installed packages: name -> dotted name."""
     found: dict[str, str] = {}
-    for point in _sort_entry_points(GROUPS[kind], tuple(sys.path)):
+    for point in _read_entry_points(GROUPS[kind], tuple(sys.path)):
         if found.setdefault(point.name, point.value) != point.value:
             raise ValueError(
                 f"{kind} {point.name!r} is declared by two installed packages, as {found[point.name]} and "
@@ -184,10 +180,10 @@ def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Pa
     if form == "use":
         found = _find_named(kind, place, folder=folder)
         return replace(found, name=name, facts=facts, folder=folder)
-    digest = _digest_command if form == "command" else _digest_made
-    origin: Origin = "command" if form == "command" else "made"
-    sha256 = digest(kind, name, place, folder=folder)
-    return Method(kind, name, place, sha256, origin, facts, folder)
+    is_command = form == "command"
+    files = (_list_named if is_command else _list_made)(kind, name, place, folder=folder)
+    origin: Origin = "command" if is_command else "made"
+    return Method(kind, name, place, _digest(files, place), origin, facts, folder)
 
 
 def _find_named(kind: str, given: str, *, folder: Path, known: Collection[str] = ()) -> Method:
@@ -196,9 +192,8 @@ def _find_named(kind: str, given: str, *, folder: Path, known: Collection[str] =
     if not colon:
         points = list_entry_points(kind)
         if given not in points:
-            ways = FORMS.removeprefix("a registered name, ")
             refusal = refuse_name(given, [*known, *points], kind)
-            raise ValueError(f"{refusal}; one of your own: {ways}")
+            raise ValueError(f"{refusal}; one of your own: {OWN_FORMS}")
         return Method(kind, given, points[given], _digest_module(kind, points[given]), "module")
     if where.endswith(".py"):
         path = (folder / where).resolve()
@@ -226,17 +221,16 @@ def _find_function(kind: str, given: object) -> Method:
         source = inspect.getsource(named)
     except (OSError, TypeError):
         source = repr(getattr(getattr(given, "__code__", None), "co_code", short))
-    sha256 = hashlib.sha256(source.encode()).hexdigest()
-    return Method(kind, short, f"{module}.{name}", sha256, "function", function=given)
+    return Method(kind, short, f"{module}.{name}", _digest({}, source), "function", function=given)
 
 
 # Digests: of all the code that a method may consist of.
 
 
-def _digest_files(paths: Mapping[str, Path], start: str = "") -> str:
+def _digest(files: Mapping[str, Path], start: str = "") -> str:
     digest = hashlib.sha256(start.encode())
-    for name in sorted(paths):
-        content = paths[name].read_bytes()
+    for name in sorted(files):
+        content = files[name].read_bytes()
         digest.update(f"{name}\0{len(content)}\0".encode() + content)
     return digest.hexdigest()
 
@@ -244,51 +238,44 @@ def _digest_files(paths: Mapping[str, Path], start: str = "") -> str:
 def _digest_file(path: Path) -> str:
     """Digest a file, and what it imports from its own folder: modules, and packages whole."""
     found: dict[str, Path] = {}
-    waiting = [path]
+    waiting, folder = [path], path.parent
     while waiting:
         one = waiting.pop()
-        name = one.relative_to(path.parent).as_posix()
-        if name not in found:
-            found[name] = one
-            waiting += _list_imported(one, path.parent)
-    return _digest_files(found)
-
-
-def _list_imported(path: Path, folder: Path) -> list[Path]:
-    """List the files of a folder that one of them imports; none where it has a syntax error, as loading it tells."""
-    try:
-        nodes = [*ast.walk(ast.parse(path.read_bytes()))]
-    except (SyntaxError, ValueError, RecursionError):
-        return []
-    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
-    names |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
-    tops = {name.partition(".")[0] for name in names} - {""}
-    modules = [one for top in tops if (one := folder / f"{top}.py").is_file()]
-    packages = [folder / top for top in tops if (folder / top / "__init__.py").is_file()]
-    return [*modules, *(one for package in packages for one in package.rglob("*.py"))]
+        if (name := one.relative_to(folder).as_posix()) in found:
+            continue
+        found[name] = one
+        try:
+            nodes = [*ast.walk(ast.parse(one.read_bytes()))]
+        except (SyntaxError, ValueError, RecursionError):
+            continue  # as loading it tells
+        names = {a.name for node in nodes if isinstance(node, ast.Import) for a in node.names}
+        names |= {node.module or "" for node in nodes if isinstance(node, ast.ImportFrom)}
+        for top in {name.partition(".")[0] for name in names} - {""}:
+            is_package = (folder / top / "__init__.py").is_file()
+            waiting += [folder / f"{top}.py"] if (folder / f"{top}.py").is_file() else []
+            waiting += (folder / top).rglob("*.py") if is_package else ()
+    return _digest(found)
 
 
 def _digest_module(kind: str, place: str, folder: Path | None = None) -> str:
     """Digest the top package of a dotted name, or its one module."""
     module, _, name = place.partition(":")
-    try:
-        with _on_path(folder):
-            spec = importlib.util.find_spec(module.partition(".")[0])
-    except (ImportError, ValueError, AttributeError):
-        spec = None
+    top = module.partition(".")[0]
+    spec = None
+    with contextlib.suppress(ImportError, ValueError, AttributeError), _on_path(folder):
+        spec = importlib.util.find_spec(top)
     if spec is None or not name:
         raise ValueError(
-            f"{kind} {place!r} cannot be imported: no module named {module.partition('.')[0]!r}; install it, or name "
-            "a file in the study, methods/my321.py:my321"
+            f"{kind} {place!r} cannot be imported: no module named {top!r}; install it, or name a file in the study, "
+            "methods/my321.py:my321"
         )
-    if spec.submodule_search_locations:
-        homes = [Path(home) for home in spec.submodule_search_locations]
-        return _digest_files({
-            path.relative_to(home).as_posix(): path for home in homes for path in home.rglob("*.py")
-        })
+    homes = [Path(home) for home in spec.submodule_search_locations or ()]
+    if homes:
+        paths = {path: home for home in homes for path in home.rglob("*.py")}
+        return _digest({path.relative_to(home).as_posix(): path for path, home in paths.items()})
     if spec.origin is not None and Path(spec.origin).is_file():
-        return _digest_files({Path(spec.origin).name: Path(spec.origin)})
-    return hashlib.sha256(f"{module} of Python {sys.version}".encode()).hexdigest()
+        return _digest({Path(spec.origin).name: Path(spec.origin)})
+    return _digest({}, f"{module} of Python {sys.version}")
 
 
 def split_command(kind: str, name: str, command: str) -> list[str]:
@@ -305,7 +292,8 @@ def split_command(kind: str, name: str, command: str) -> list[str]:
     return words
 
 
-def _digest_command(kind: str, name: str, command: str, *, folder: Path) -> str:
+def _list_named(kind: str, name: str, command: str, *, folder: Path) -> dict[str, Path]:
+    """List the files of a study that a command names."""
     words = {part for word in split_command(kind, name, command) for part in (word, *word.split())}
     found = {}
     for word in words:
@@ -313,20 +301,18 @@ def _digest_command(kind: str, name: str, command: str, *, folder: Path) -> str:
             path = folder / word
             if path.is_file() and path.resolve().is_relative_to(folder):
                 found[word] = path
-    return _digest_files(found, command)
+    return found
 
 
-def _digest_made(kind: str, name: str, file: str, *, folder: Path) -> str:
-    """Digest the files that were made of recordings: all that are there."""
+def _list_made(kind: str, name: str, file: str, *, folder: Path) -> dict[str, Path]:
+    """List the files that were made of recordings: all that are there."""
     if file.count(RECORDING) != 1 or Path(file).is_absolute() or ".." in Path(file).parts:
         raise ValueError(
             f"{kind} {name}: file must be in the study's folder and name each recording's by {RECORDING} once, such as "
             f"made/{RECORDING}.wav; got {file!r}"
         )
-    found = {
-        one.relative_to(folder).as_posix(): one for one in folder.glob(file.replace(RECORDING, "*"))
-    }
-    return _digest_files({where: one for where, one in found.items() if one.is_file()}, file)
+    found = (one for one in folder.glob(file.replace(RECORDING, "*")) if one.is_file())
+    return {one.relative_to(folder).as_posix(): one for one in found}
 
 
 # Loading, and calling under guard.
@@ -335,9 +321,8 @@ def _digest_made(kind: str, name: str, file: str, *, folder: Path) -> str:
 @contextlib.contextmanager
 def _on_path(*folders: Path | None) -> Iterator[None]:
     """Let modules of the lab be found, after all others, so that they hide none."""
-    added = [
-        str(one) for one in (*folders, Path.cwd()) if one is not None and str(one) not in sys.path
-    ]
+    places = [str(one) for one in (*folders, Path.cwd()) if one is not None]
+    added = [one for one in places if one not in sys.path]
     sys.path.extend(added)
     try:
         yield
@@ -350,14 +335,13 @@ def _on_path(*folders: Path | None) -> Iterator[None]:
 @lru_cache(maxsize=256)
 def _load(method: Method, folder: Path | None) -> Any:  # noqa: ANN401 - whatever the lab wrote
     where, _, name = method.place.rpartition(":")
-    is_file = method.origin == "file"
+    is_file, home = method.origin == "file", folder or Path()
     load = _load_file if is_file else _load_module
     module = call(method, load, where, folder, doing="cannot be loaded")
-    home = folder or Path()
-    found = (
+    digest = (
         _digest_file(home / where) if is_file else _digest_module(method.kind, method.place, folder)
     )
-    if found != method.sha256:
+    if digest != method.sha256:
         said = "was changed in the meantime, or is other code on this machine"
         raise ValueError(f"{method}: {where} {said}; run the command again")
     if not hasattr(module, name):
@@ -368,16 +352,14 @@ def _load(method: Method, folder: Path | None) -> Any:  # noqa: ANN401 - whateve
     return call(method, made, doing="cannot be made") if inspect.isclass(made) else made
 
 
-def _load_module(where: str, folder: Path | None) -> Any:  # noqa: ANN401 - the module of a lab
+def _load_module(where: str, folder: Path | None) -> types.ModuleType:
     with _on_path(folder):
         return importlib.import_module(where)
 
 
-def _load_file(where: str, folder: Path | None) -> Any:  # noqa: ANN401 - the module of a lab
+def _load_file(where: str, folder: Path | None) -> types.ModuleType:
     """Run a file of a study as a module of its own; what it imports from its folder is not kept for other studies."""
     path = (folder or Path()) / where
-    if path.suffix != ".py":
-        raise ImportError(f"{where} is not a Python file")
     unique = hashlib.sha256(str(path).encode()).hexdigest()[:8]
     module = types.ModuleType(f"feel321_study_{unique}_{path.stem}")
     module.__file__ = str(path)
@@ -433,23 +415,21 @@ def _shorten(message: object) -> str:
 
 def _word(error: BaseException, method: Method) -> str:
     """Word a lab's error: its class, its message, and the line of the lab's code."""
-    try:
-        reason = _shorten(error)
-    except Exception:  # noqa: BLE001 - an error whose text is an error too
-        reason = ""
+    kind, reason = type(error).__name__, ""
+    with contextlib.suppress(Exception):  # the text of an error may be an error too
+        reason = _shorten(error.msg if isinstance(error, SyntaxError) else error)
     if isinstance(error, SystemExit):
         reason = f"it called sys.exit({reason}), a method must return"
     file, line = "", 0
     if isinstance(error, SyntaxError):
-        reason, file, line = _shorten(error.msg), error.filename or "", error.lineno or 0
+        kind, file, line = "SyntaxError", error.filename or "", error.lineno or 0
     else:
         roots = _find_roots(method)
         for frame in traceback.extract_tb(error.__traceback__):
             if any(Path(frame.filename).is_relative_to(root) for root in roots):
                 file, line = frame.filename, frame.lineno or 0
-    name = "SyntaxError" if isinstance(error, SyntaxError) else type(error).__name__
     place = f" ({'/'.join(Path(file).parts[-2:])}, line {line})" if file else ""
-    return f"{name}{': ' if reason else ''}{reason}{place}"
+    return f"{kind}{': ' if reason else ''}{reason}{place}"
 
 
 def _find_roots(method: Method) -> list[Path]:

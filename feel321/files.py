@@ -9,35 +9,32 @@ import secrets
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from filecmp import cmp
 from itertools import chain
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
-LOOK_S = 0.2
-"""How long a lock is waited for: `is_held` takes it for an instant, which must refuse nobody."""
-
-
-UNFINISHED = re.compile(r"\..+\.\d+(\.\w+)?\.part")
-"""Names of files while they are written: `.NAME.PID.TOKEN.part`."""
-
-TEMPORARY = re.compile(r"feel321-\d+-\w+")
-"""Names of temporary folders: `feel321-PID-TOKEN`."""
-
-
-def write_text(path: Path, text: str, *, private: bool = False) -> None:
-    """Write a text file in one step, replacing the one that is there unless it holds just that."""
-    _write(path, [text.encode()], private=private)
+GROUP = 0o050  # bits of a folder that its group may read and enter
+LOOK_S = 0.2  # how long a lock is waited for: `is_held` takes it for an instant, which must refuse nobody
+LONGEST_LINE = 1000  # characters of a refusal: a file may hold anything, and be long
+FORMULA = re.compile(
+    r"'*[=+@\t\r-]"
+)  # how a cell begins that a spreadsheet would run, or that was kept from it
+UNFINISHED = re.compile(r"\..+\.\d+(\.\w+)?\.part")  # `.NAME.PID.TOKEN.part`, while NAME is written
+TEMPORARY = re.compile(r"feel321-\d+-\w+")  # temporary folders: `feel321-PID-TOKEN`
 
 
-def write_table(
-    path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], *, private: bool = False
-) -> int:
-    """Write a CSV table in one step, and count its rows; what a row holds besides the columns is left out."""
-    chunks = (line.encode() for line in list_csv(columns, rows))
-    return _write(path, chunks, private=private) - 1
+def defuse(cell: Any) -> Any:  # noqa: ANN401 - any cell of a table
+    """Put an apostrophe before a text that a spreadsheet would run as a formula; numbers stay as they are."""
+    if not isinstance(cell, str) or not FORMULA.match(cell):
+        return cell
+    try:
+        float(cell)
+    except ValueError:
+        return f"'{cell}"
+    return cell
 
 
 def list_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:
@@ -51,103 +48,31 @@ def list_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Itera
         text.truncate()
 
 
-FORMULA = re.compile(r"'*[=+@\t\r-]")
-"""How a cell begins that a spreadsheet would take for a formula, or that was kept from it."""
-
-
-def defuse(cell: Any) -> Any:  # noqa: ANN401 - any cell of a table
-    """Put an apostrophe before a text that a spreadsheet would run as a formula; numbers stay as they are.
-
-    Examples
-    --------
-    >>> defuse("=1+1"), defuse("-3.5"), defuse("oak"), defuse(-3.5)
-    ("'=1+1", '-3.5', 'oak', -3.5)
-    """
-    if not isinstance(cell, str) or not FORMULA.match(cell):
-        return cell
-    try:
-        float(cell)
-    except ValueError:
-        return f"'{cell}"
-    return cell
-
-
 def digest_file(path: Path) -> str:
     """Compute the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def write_bytes(path: Path, content: bytes, *, private: bool = False) -> None:
-    """Write a file in one step, replacing the one that is there unless it holds just that.
+# Files that are written whole. private: nobody but its owner may read it, from its first byte (see `find_mode`).
 
-    private: nobody but its owner may read it, from its first byte (see `find_mode`).
-    """
+
+def write_text(path: Path, text: str, *, private: bool = False) -> None:
+    """Write a text file in one step, replacing the one that is there unless it holds just that."""
+    _write(path, [text.encode()], private=private)
+
+
+def write_bytes(path: Path, content: bytes, *, private: bool = False) -> None:
+    """Write a file in one step, replacing the one that is there unless it holds just that."""
     _write(path, [content], private=private)
 
 
-def _write(path: Path, chunks: Iterable[bytes], *, private: bool = False) -> int:
-    """Write a file beside its target, which takes its name as a whole; counts the chunks."""
-    count = 0
-    with _naming(path), _unfinished(path, private=private) as (file, unfinished):
-        for count, chunk in enumerate(chunks, start=1):  # noqa: B007 - the last one counts
-            file.write(chunk)
-        file.flush()
-        is_open = private and os.name != "nt" and path.is_file() and path.stat().st_mode & 0o027
-        if path.is_file() and not is_open and cmp(unfinished, path, shallow=False):
-            return count
-        os.fsync(file.fileno())
-        if os.name == "nt":  # pragma: no cover - an open file is not moved there
-            file.close()
-        unfinished.replace(path)
-        sync_folder(path.parent)
-    return count
-
-
-@contextmanager
-def _unfinished(path: Path, *, private: bool) -> Iterator[tuple[BinaryIO, Path]]:
-    """Open a file beside its target, so that the replacement stays on one file system and is atomic; it is held."""
-    while True:
-        place = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
-        flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-        descriptor = os.open(place, flags, find_mode(path, private=private))
-        _lock(descriptor, wait=True)
-        if os.fstat(descriptor).st_nlink:
-            break
-        os.close(descriptor)  # pragma: no cover - swept between its making and its hold
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            yield file, place
-    finally:
-        place.unlink(missing_ok=True)
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Name the file in an error: a full disk is reported without a name, most else with that of the unfinished file."""
-    try:
-        yield
-    except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error
-
-
-def find_mode(path: Path, *, private: bool) -> int:
-    """Find the mode of a new file: of a private one 0600, or 0640 in a folder that is its group's and nobody else's.
-
-    So a folder that a lab opens to its group hands that on. Windows knows no modes.
-    """
-    if not private:
-        return 0o666
-    return 0o640 if is_of_group(path.parent) else 0o600
-
-
-GROUP = 0o050
-"""Bits of a folder that its group may read and enter."""
-
-
-def is_of_group(folder: Path) -> bool:
-    """Check whether its group may read a folder, and nobody else besides its owner."""
-    return folder.stat().st_mode & (GROUP | 0o007) == GROUP
+def write_table(
+    path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]], *, private: bool = False
+) -> int:
+    """Write a CSV table in one step, and count its rows; what a row holds besides the columns is left out."""
+    chunks = (line.encode() for line in list_csv(columns, rows))
+    return _write(path, chunks, private=private) - 1
 
 
 def create_text(path: Path, text: str, *, private: bool = False) -> None:
@@ -160,19 +85,65 @@ def create_text(path: Path, text: str, *, private: bool = False) -> None:
 
 
 def create_file(path: Path, *, private: bool = False) -> None:
-    """Begin an empty file whose name survives a power cut; one that is there is refused."""
-    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, find_mode(path, private=private)))
+    """Begin an empty file; one that is there is refused."""
+    flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY
+    os.close(os.open(path, flags, find_mode(path, private=private)))
+
+
+def _write(path: Path, chunks: Iterable[bytes], *, private: bool = False) -> int:
+    """Write a file beside its target, on the same file system, which takes its name as a whole; counts the chunks."""
+
+    def make() -> Path:
+        part = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
+        create_file(part, private=private)
+        return part
+
+    with _naming(path):
+        part, hold = _claim(make)
+        try:
+            return _replace(path, part, chunks, private=private)
+        finally:
+            part.unlink(missing_ok=True)
+            _let_go(hold)
+
+
+def _replace(path: Path, part: Path, chunks: Iterable[bytes], *, private: bool) -> int:
+    count = 0
+    with part.open("wb") as file:
+        for count, chunk in enumerate(chunks, start=1):  # noqa: B007 - the last one counts
+            file.write(chunk)
+        file.flush()
+        is_open = private and os.name != "nt" and path.is_file() and path.stat().st_mode & 0o027
+        if path.is_file() and not is_open and cmp(part, path, shallow=False):
+            return count
+        os.fsync(file.fileno())
+    part.replace(path)
     sync_folder(path.parent)
+    return count
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Name the file in an error: a full disk is reported without a name, most else with that of the unfinished file."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+def find_mode(path: Path, *, private: bool) -> int:
+    """Find the mode of a new file: of a private one 0600, or 0640 in a folder that is its group's and nobody else's."""
+    return 0o666 if not private else 0o640 if is_of_group(path.parent) else 0o600
+
+
+def is_of_group(folder: Path) -> bool:
+    """Check whether its group may read a folder, and nobody else besides its owner."""
+    return folder.stat().st_mode & (GROUP | 0o007) == GROUP
 
 
 def make_folder(path: Path, *, private: bool = False) -> None:
-    """Make a folder and those above it that are missing; each new name survives a power cut.
-
-    private: nobody but their owner may enter the new ones (mode 0700; 0750 in a folder that is so). A folder that is
-    there stays as it is.
-    """
-    missing = [one for one in (path, *path.parents) if not one.is_dir()]
-    for folder in reversed(missing):
+    """Make a folder and those above it that are missing; private ones have mode 0700, or 0750 in one that is so."""
+    for folder in reversed([one for one in (path, *path.parents) if not one.is_dir()]):
         mode = find_mode(folder, private=private)
         mode |= (mode & 0o444) >> 2  # who may read a folder may enter it
         with _naming(folder):
@@ -191,40 +162,39 @@ def move_files(moves: Mapping[Path, Path]) -> None:
         sync_folder(folder)
 
 
+def sync_folder(folder: Path) -> None:
+    """Make a new file's name survive a power cut, where the system can promise that."""
+    if os.name != "nt":  # Windows opens no folders and needs no such call
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+# What a killed process leaves: every unfinished file and temporary folder is locked by its process while that lives.
+
+
 @contextmanager
 def temporary_folder(beside: Path | None = None) -> Iterator[Path]:
-    """Give a folder of its owner alone, which ends with the block: in the system's place, or beside a path.
-
-    It is held by its process: `sweep` removes one whose process was killed.
-    """
+    """Give a folder of its owner alone, which ends with the block: in the system's place, or beside a path."""
     place = None if beside is None else beside.parent
-    while True:
-        folder = Path(tempfile.mkdtemp(prefix=f"feel321-{os.getpid()}-", dir=place))
-        hold = _hold(folder)
-        _lock(hold, wait=True)
-        if folder.is_dir():
-            break
-        os.close(hold)  # pragma: no cover - swept between its making and its hold
+    prefix = f"feel321-{os.getpid()}-"
+    folder, hold = _claim(lambda: Path(tempfile.mkdtemp(prefix=prefix, dir=place)))
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        if hold >= 0:
-            os.close(hold)
+        _let_go(hold)
 
 
 def sweep(folder: Path) -> list[Path]:
-    """Remove the unfinished files and temporary folders that killed processes left below a folder, and name them.
-
-    What a live process holds stays, on whichever machine that shares the folder; links are not followed. Temporary
-    folders are not swept on Windows, where nothing can hold them.
-    """
+    """Remove the unfinished files and temporary folders that killed processes left below a folder, and name them."""
     swept = []
     for name, folders, files in os.walk(folder):
-        place = Path(name)
-        swept += [place / one for one in files if UNFINISHED.fullmatch(one) and _end(place / one)]
         left = [one for one in folders if TEMPORARY.fullmatch(one)]
-        swept += [place / one for one in left if _end(place / one)]
+        parts = [one for one in files if UNFINISHED.fullmatch(one)]
+        swept += [path for one in (*parts, *left) if _end(path := Path(name, one))]
         folders[:] = [one for one in folders if one not in left]
     return sorted(swept)
 
@@ -235,15 +205,49 @@ def sweep_temporary() -> list[Path]:
     return sorted(one for one in found if TEMPORARY.fullmatch(one.name) and _end(one))
 
 
-def sync_folder(folder: Path) -> None:
-    """Make a new file's name survive a power cut, where the system can promise that."""
-    if os.name == "nt":  # pragma: no cover - Windows opens no folders and needs no such call
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
+def _claim(make: Callable[[], Path]) -> tuple[Path, int]:
+    """Make a file or folder and hold it; anew where it was swept in between."""
+    while True:
+        path = make()
+        hold = _hold(path, wait=True)
+        if path.exists():
+            return path, hold
+        _let_go(hold)  # pragma: no cover
+
+
+def _hold(path: Path, *, wait: bool = False) -> int:
+    """Open and lock a file or folder for this process, however that ends; -1 where that cannot be, as on Windows."""
+    descriptor = -1
+    if sys.platform != "win32":
+        import fcntl
+
+        try:
+            descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+            fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        except OSError:  # a disk may know no locks
+            _let_go(descriptor)
+            return -1
+    return descriptor
+
+
+def _let_go(descriptor: int) -> None:
+    if descriptor >= 0:
         os.close(descriptor)
+
+
+def _end(path: Path) -> bool:
+    """Remove what its process has left, and say whether it is gone; what is held, or not ours, stays."""
+    hold = _hold(path)
+    try:
+        is_ours = hold >= 0 and os.fstat(hold).st_uid == os.getuid()
+        if is_ours and path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        elif is_ours or (os.name == "nt" and path.is_file()):
+            with suppress(OSError):  # as Windows says of an open file
+                path.unlink(missing_ok=True)
+        return not os.path.lexists(path)
+    finally:
+        _let_go(hold)
 
 
 @contextmanager
@@ -283,68 +287,15 @@ def is_held(path: Path) -> bool:
 
 @contextmanager
 def file_named(path: Path) -> Iterator[None]:
-    """Put the file's name before every refusal raised inside, once: a reader raises bare sentences."""
+    """Put the file's name before every refusal raised inside, once, and make one line of it that can be printed."""
     prefix = f"{path.name}: "
     try:
         yield
     except ValueError as error:
         text = str(error).removeprefix(prefix)
-        raise ValueError(prefix + as_line(text)) from error
+        if len(text) > LONGEST_LINE:
+            text = f"{text[: LONGEST_LINE // 2]} ... {text[-LONGEST_LINE // 2 :]}"
+        shown = (c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+        raise ValueError(prefix + "".join(shown)) from error
     except OSError as error:
         raise type(error)(f"{prefix}{error.strerror or str(error).removeprefix(prefix)}") from error
-
-
-LONGEST_LINE = 1000
-"""Characters of a refusal: a file may hold anything, and be long."""
-
-
-def as_line(text: str) -> str:
-    """Put a refusal on one line that can be printed: a file's own names may hold line feeds, or be endless."""
-    if len(text) > LONGEST_LINE:
-        text = f"{text[: LONGEST_LINE // 2]} ... {text[-LONGEST_LINE // 2 :]}"
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-
-
-def _hold(path: Path) -> int:
-    """Open a file or folder that is there, for a lock; less than 0 if that cannot be."""
-    if (
-        os.name == "nt"
-    ):  # pragma: no cover - an open file cannot be removed there, a folder cannot be held
-        return -1
-    try:
-        return os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:
-        return -1
-
-
-def _lock(descriptor: int, *, wait: bool = False) -> bool:
-    """Lock an open file for this process, however that ends; a disk that knows no locks says no."""
-    if sys.platform == "win32":  # pragma: no cover - an open file is safe there anyway
-        return True
-    import fcntl
-
-    with suppress(OSError):
-        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-        return True
-    return False
-
-
-def _end(path: Path) -> bool:
-    """Remove what its process has left, and say whether it is gone; what is held, or not ours, stays."""
-    if os.name == "nt":  # pragma: no cover - an open file is not removed there, a folder stays
-        with suppress(OSError):
-            path.unlink()
-        return not path.exists()
-    if path.is_symlink() or (hold := _hold(path)) < 0:
-        return False
-    try:
-        is_ours = os.fstat(hold).st_uid == os.getuid()
-        if not (is_ours and _lock(hold)):
-            return False
-        if path.is_dir():
-            shutil.rmtree(path, ignore_errors=True)
-        else:
-            path.unlink(missing_ok=True)
-        return not path.exists()
-    finally:
-        os.close(hold)

@@ -1,7 +1,4 @@
-"""What is read from outside: regular files only, no more of them than a limit, and text that is UTF-8.
-
-A refusal is one line with the file's name, what was got, what is allowed and what to do.
-"""
+"""What is read from outside: regular files only, no more of them than a limit, and text that is UTF-8."""
 
 import codecs
 import errno
@@ -16,19 +13,13 @@ from pathlib import Path
 from typing import BinaryIO, TextIO
 
 LIMIT = "FEEL321_LARGEST_MB"
-LARGEST_MB = 512
-"""So much a file may hold, and its samples take as float64: half an hour of three axes at 10 kHz."""
-
-TEXT_SHARE = 4
-"""A text may be so many times smaller: it takes several times its size while it is read."""
-
-SMALL_BYTES = 2**22
-"""So large may settings, texts and facts beside recordings be."""
-
-MOST_DIGITS = 4000
-
-LONGEST_LINE = 2**20
-"""So many bytes may stand in a line of a table: thousands of columns."""
+LARGEST_MB = 512  # of a file, and of its samples as float64: half an hour of three axes at 10 kHz
+TEXT_SHARE = (
+    4  # a text must be so many times smaller: it takes several times its size while it is read
+)
+SMALL_BYTES = 2**22  # of settings, texts and facts beside recordings
+MOST_DIGITS = 4000  # of a number in those: parsers take memory for digits
+LONGEST_LINE = 2**20  # bytes in a line of a table: thousands of columns
 
 WIDE_TEXT = {codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16", codecs.BOM_UTF16_BE: "UTF-16"}  # fmt: skip
 KINDS = {
@@ -73,8 +64,8 @@ def check_bytes(n_bytes: int, what: str, *, most: int | None = None) -> None:
 def check_samples(n_samples: int, n_axes: int, rate_hz: float | None = None) -> None:
     """Refuse samples of a header that would take more memory than the limit, before they are read."""
     seconds = f", {n_samples / rate_hz:,.0f} s" if rate_hz else ""
-    what = f"promises {n_samples:,} samples of {n_axes} channels{seconds}"
-    check_bytes(8 * n_samples * n_axes, what)
+    promised = f"promises {n_samples:,} samples of {n_axes} channels{seconds}"
+    check_bytes(8 * n_samples * n_axes, promised)
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -117,7 +108,7 @@ def open_text(path: Path) -> Iterator[TextIO]:
 
 
 def read_small(path: Path) -> str:
-    """Read a text of settings or facts, which are never large, nor are its numbers: parsers take memory for digits."""
+    """Read a text of settings or facts, which are never large, nor are its numbers."""
     text = read_text(path, most=SMALL_BYTES)
     if found := re.search(rf"[0-9_]{{{MOST_DIGITS}}}", text):
         line = text.count("\n", 0, found.start()) + 1

@@ -13,11 +13,10 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
-from contextvars import copy_context
+from contextvars import Context, copy_context
 from dataclasses import dataclass
 from importlib.util import find_spec
-from itertools import islice
+from itertools import islice, starmap
 from pathlib import Path
 from re import fullmatch
 from typing import Any
@@ -27,34 +26,17 @@ __all__ = ["Workers"]
 Job = tuple[Callable[..., Any], tuple[Any, ...], dict[str, Any]]
 """What is called, its positional and its named arguments."""
 
-Numbered = tuple[int, Any]
-"""The place of a job and its result."""
-
-PATIENCE_S = 60.0
-"""How long a cluster without workers is waited for."""
+Numbered = tuple[int, Any]  # the place of a job and its result
+PATIENCE_S = 60.0  # how long a cluster without workers is waited for
+AGAIN = "check scheduler and workers and run the command again"
 
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where jobs run: in processes of this machine, or on a Dask cluster.
+    """Where jobs run: in so many processes of this machine, or on the Dask cluster of a scheduler.
 
-    Parameters
-    ----------
-    count : int
-        Number of processes of this machine.
-    scheduler : str
-        Instead, the scheduler of a Dask cluster: `tcp://HOST:PORT`, or `tls://HOST:PORT` with certificates named in
-        Dask's own configuration. All machines must see the study's folder under the same name.
-
-    Raises
-    ------
-    ValueError
-        If the number is below 1, or the address is not of that form.
-
-    Examples
-    --------
-    >>> Workers(2).count
-    2
+    scheduler: `tcp://HOST:PORT`, or `tls://HOST:PORT` with certificates named in Dask's own configuration. All machines
+    must see the study's folder under the same name.
     """
 
     count: int = 1
@@ -71,10 +53,7 @@ class Workers:
             )
 
 
-ALONE = Workers()
-"""This process only."""
-
-AGAIN = "check scheduler and workers and run the command again"
+ALONE = Workers()  # this process only
 
 
 def as_workers(workers: int | Workers) -> Workers:
@@ -88,21 +67,22 @@ def run_jobs(
     """Yield the place of each job and its result, as they are done; only a few jobs are taken ahead of time."""
     if workers.scheduler:
         yield from _run_on_cluster(jobs, workers.scheduler)
-    elif workers.count == 1:
-        # Each thread has a context of its own, in which it can say what is being done.
-        with ThreadPoolExecutor(threads) as pool:
-            yield from _keep_busy(
-                jobs,
-                lambda place, job: pool.submit(copy_context().run, _do, place, job),
-                count_threads=lambda: threads,
-            )
+    elif max(workers.count, threads) == 1:
+        yield from starmap(_do, enumerate(jobs))
     else:
-        # After a kill joblib tidies up, and need not say so between our lines.
-        os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
         from joblib import Parallel, delayed
 
-        numbered = (delayed(_do)(place, job) for place, job in enumerate(jobs))
-        yield from Parallel(n_jobs=workers.count, return_as="generator_unordered")(numbered)
+        if workers.count > 1:
+            # After a kill joblib tidies up, and need not say so between our lines.
+            os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
+            crew = Parallel(workers.count, return_as="generator_unordered")
+            calls = (delayed(_do)(place, job) for place, job in enumerate(jobs))
+        else:
+            # Each thread has a context of its own, in which it can say what is being done.
+            crew = Parallel(threads, "threading", return_as="generator_unordered")
+            run: Any = delayed(Context.run)
+            calls = (run(copy_context(), _do, place, job) for place, job in enumerate(jobs))
+        yield from crew(calls)
 
 
 def gather_results(
@@ -121,64 +101,6 @@ def _do(place: int, job: Job) -> Numbered:
     return place, function(*arguments, **named)
 
 
-def _keep_busy(
-    jobs: Iterable[Job],
-    submit: Callable[[int, Job], Future[Numbered]],
-    *,
-    count_threads: Callable[[], int],
-) -> Iterator[Numbered]:
-    """Keep two jobs in flight per thread."""
-    left, running = enumerate(jobs), set[Future[Numbered]]()
-    while True:
-        for place, job in islice(left, max(2 * count_threads() - len(running), 0)):
-            running.add(submit(place, job))
-        if not running:
-            return
-        done, running = wait(running, PATIENCE_S, FIRST_COMPLETED)
-        if not done and not count_threads():
-            raise OSError(f"the Dask cluster has no worker for {PATIENCE_S:g} s; {AGAIN}")
-        for one in done:
-            yield one.result()
-
-
-def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
-    if find_spec("distributed") is None:
-        raise ModuleNotFoundError(
-            "a Dask cluster needs distributed, not installed here; run pip install 'feel321[cluster]'"
-        )
-    from distributed import Client
-    from distributed.scheduler import KilledWorker
-
-    try:
-        client = Client(address, set_as_default=False)  # type: ignore[no-untyped-call]  # distributed's types
-        client.wait_for_workers(1, timeout=PATIENCE_S)
-    except (OSError, TypeError, ValueError) as error:
-        raise OSError(f"{address}: no Dask cluster answers ({error}); {AGAIN}") from None
-    crew, versions = client.get_executor(), _find_versions()  # type: ignore[no-untyped-call]  # distributed's types
-
-    def submit(place: int, job: Job) -> Future[Numbered]:
-        function, arguments, named = job
-        # A worker is in a folder of its own.
-        own = [one.absolute() if isinstance(one, Path) else one for one in arguments]
-        sent: Future[Numbered] = crew.submit(
-            _do_there, place, (function, tuple(own), named), versions
-        )
-        return sent
-
-    try:
-        yield from _keep_busy(
-            jobs,
-            submit,
-            count_threads=lambda: sum(client.nthreads().values()),  # type: ignore[no-untyped-call]  # distributed's types
-        )
-    except (CancelledError, KilledWorker) as error:
-        what = str(error) or "its scheduler is gone"
-        raise OSError(f"{address}: the Dask cluster failed ({what}); {AGAIN}") from None
-    finally:
-        crew.shutdown(wait=False)  # what waits is cancelled
-        client.close()  # type: ignore[no-untyped-call]  # distributed's types
-
-
 def _find_versions() -> dict[str, str]:
     """Find the versions that all machines must have, as they decide the bytes of results."""
     modules = ("feel321", "numpy", "scipy", "soxr")
@@ -193,3 +115,42 @@ def _do_there(place: int, job: Job, versions: dict[str, str]) -> Numbered:
         message = f"a worker has {', '.join(other)}; install the same versions there, or stop it"
         raise ValueError(message)
     return _do(place, job)
+
+
+def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
+    """Keep two jobs in flight per thread of a cluster."""
+    if find_spec("distributed") is None:
+        raise ModuleNotFoundError(
+            "a Dask cluster needs distributed, not installed here; run pip install 'feel321[cluster]'"
+        )
+    from distributed import CancelledError, Client, as_completed
+    from distributed.scheduler import KilledWorker
+
+    try:
+        client = Client(address, set_as_default=False)  # type: ignore[no-untyped-call]  # distributed's types
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+    except (OSError, TypeError, ValueError) as error:
+        raise OSError(f"{address}: no Dask cluster answers ({error}); {AGAIN}") from None
+    versions = _find_versions()
+
+    def submit() -> Iterator[Any]:
+        for place, (function, arguments, named) in enumerate(jobs):
+            # A worker is in a folder of its own.
+            own = tuple(one.absolute() if isinstance(one, Path) else one for one in arguments)
+            yield client.submit(_do_there, place, (function, own, named), versions, pure=False)
+
+    left = submit()
+    running: Any = as_completed(loop=client.loop, with_results=True)  # type: ignore[no-untyped-call]  # distributed's types
+    try:
+        while True:
+            threads = sum(client.nthreads().values())  # type: ignore[no-untyped-call]  # distributed's types
+            running.update(list(islice(left, max(2 * threads - running.count(), 0))))
+            if running.is_empty():
+                return
+            _, result = next(running)
+            yield result
+    except (CancelledError, KilledWorker) as error:
+        what = str(error) or "its scheduler is gone"
+        raise OSError(f"{address}: the Dask cluster failed ({what}); {AGAIN}") from None
+    finally:
+        client.close()  # type: ignore[no-untyped-call]  # distributed's types

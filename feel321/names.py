@@ -5,32 +5,16 @@ from collections.abc import Mapping
 from feel321.doors import Registry
 from feel321.types import MetricInfo
 
-MOST_DB = 60.0
-"""Levels further apart count as this far apart: people feel vibrations over some 55 dB."""
+MOST_DB = (
+    60.0  # levels further apart count as this far apart: people feel vibrations over some 55 dB
+)
 
 REDUCER_NAMES = (
-    "sax321",
-    "say321",
-    "saz321",
-    "soc321",
-    "mag321",
-    "pca321",
-    "pca321_adaptive",
-    "dft321",
-    "dft321_windowed",
-    "dft321_principal",
-    "dft321_principal_windowed",
-    "sax321_matched",
-    "say321_matched",
-    "saz321_matched",
-    "pca321_matched",
-    "sax321_matched_running",
-    "say321_matched_running",
-    "saz321_matched_running",
-    "pca321_matched_windowed",
-    "dft321_bands",
-    "dft321_filtered",
-)
+    "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
+    "dft321_principal", "dft321_principal_windowed", "sax321_matched", "say321_matched", "saz321_matched",
+    "pca321_matched", "sax321_matched_running", "say321_matched_running", "saz321_matched_running",
+    "pca321_matched_windowed", "dft321_bands", "dft321_filtered",
+)  # fmt: skip
 """In the order of the paper, simplest first; later ones follow. The only list of names."""
 
 METRIC_INFO: Mapping[str, MetricInfo] = Registry(
@@ -56,12 +40,11 @@ METRIC_INFO: Mapping[str, MetricInfo] = Registry(
 MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
 """The match metrics: what is compared with delivered signals and over orientations, too."""
 
-WRITTEN = (*MATCHES, "temporal_match_windowed")
-"""The metrics that `build` writes into every manifest."""
-
-ANCHOR = "anchor"
-"""The role of anchors in the manifest."""
-
+WRITTEN = (
+    *MATCHES,
+    "temporal_match_windowed",
+)  # the metrics that `build` writes into every manifest
+ANCHOR = "anchor"  # the role of anchors in the manifest
 ANCHOR_NAMES = ("anchor_low", "anchor_mid")
 
 MEASURES: Mapping[str, str] = Registry(
@@ -82,5 +65,9 @@ MEASURES: Mapping[str, str] = Registry(
 EXPECTATIONS = ("positive", "negative", "near", "highest", "lowest")
 """What a paper's claim says of its number: on which side of zero, near the paper's, or above or below all others."""
 
-PROVENANCE = ("full text", "abstract", "ours", "unknown")
-"""Where a statement about a paper was seen."""
+PROVENANCE = (
+    "full text",
+    "abstract",
+    "ours",
+    "unknown",
+)  # where a statement about a paper was seen

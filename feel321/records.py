@@ -13,11 +13,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, Self
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-REPR_WIDTH = 200
-"""Characters of a result's repr, at most."""
-
-MOST_ROWS = 60
-"""Rows of a table that a summary shows, at most; half of them from its end."""
+REPR_WIDTH = 200  # characters of a result's repr, at most
+MOST_ROWS = 60  # rows of a table that a summary shows, at most; half of them from its end
 
 
 class Result:
@@ -25,51 +22,51 @@ class Result:
 
     __slots__ = ()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the fields as what JSON can hold.
+    def _list_fields(self) -> list[tuple[str, Any]]:
+        fields = dataclasses.fields(self)  # type: ignore[arg-type]  # every result but a statistic is a dataclass
+        return [(field.name, getattr(self, field.name)) for field in fields]
 
-        Returns
-        -------
-        dict
-            Arrays as lists, tables as lists of rows; a number that is not defined is None.
-        """
+    def _list_scalars(self) -> list[tuple[str, Any]]:
+        import numpy as np
+
+        kinds = bool | int | float | str | np.generic
+        return [(name, entry) for name, entry in self._list_fields() if isinstance(entry, kinds)]
+
+    def _name(self) -> str:
+        return type(self).__name__
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the fields as what JSON can hold."""
         fields: dict[str, Any] = to_json_value(self)
         return fields
 
     def to_frame(self) -> DataFrame:
-        """Return the numbers and names as a table.
-
-        Returns
-        -------
-        DataFrame
-            One row with a column per number, name or flag.
-        """
+        """Return the numbers and names as a table."""
         import pandas as pd
 
-        return pd.DataFrame([dict(_list_scalars(self))])
+        return pd.DataFrame([dict(self._list_scalars())])
 
     def summary(self) -> str:
-        """Write the result for reading.
-
-        Returns
-        -------
-        str
-            Several lines: the numbers, and the notes if there are any.
-        """
+        """Write the result for reading."""
         frame, notes, digits = self.to_frame(), getattr(self, "notes", ()), "{:.4g}".format
         if len(frame) == 1:
             table = frame.T.to_string(header=False, float_format=digits)
         else:
             table = frame.to_string(index=False, float_format=digits, max_rows=MOST_ROWS)
-        return "\n".join((_name(self), table, *notes))
+        return "\n".join((self._name(), table, *notes))
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""
-        known = [(name, _shorten(value)) for name, value in _list_scalars(self)]
-        sized = [(name, one) for name, one in _list_fields(self) if hasattr(one, "__len__")]
+        import numpy as np
+
+        known = [
+            (name, f"{value:.4g}" if isinstance(value, float | np.floating) else repr(value))
+            for name, value in self._list_scalars()
+        ]
+        sized = [(name, one) for name, one in self._list_fields() if hasattr(one, "__len__")]
         known = known or [(name, f"<{len(one)}>") for name, one in sized if len(one)]
         told = ", ".join(f"{name}={value}" for name, value in known)
-        text = f"{_name(self)}({told})"
+        text = f"{self._name()}({told})"
         return text if len(text) <= REPR_WIDTH else f"{text[: REPR_WIDTH - 4]}...)"
 
     def _repr_html_(self) -> str:
@@ -81,7 +78,7 @@ class Result:
         shown = frame.to_html(
             max_rows=20, float_format="{:.4g}".format, border=0, header=len(frame.columns) > 1
         )
-        name = f"<caption>{escape(_name(self))}</caption>"
+        name = f"<caption>{escape(self._name())}</caption>"
         notes = "".join(f"<p>{escape(str(note))}</p>" for note in getattr(self, "notes", ()))
         table, rest = shown.replace("<th>", '<th scope="row">').split(">", 1)
         return f"{table}>{name}{rest}{notes}"
@@ -98,16 +95,7 @@ class Result:
 
 
 class Statistic(Result, Mapping[str, Any]):
-    """What a statistic found: its values by name, as attributes and as a mapping.
-
-    Parameters
-    ----------
-    kind : str
-        What it is, for the repr.
-    **values : object
-        Numbers, names, tables, and notes on what is to be read with care. `to_frame` gives the first table, or the
-        numbers in one row.
-    """
+    """What a statistic found: its values by name, as attributes and as a mapping."""
 
     __slots__ = ("_kind", "_values")
     _kind: str
@@ -117,14 +105,14 @@ class Statistic(Result, Mapping[str, Any]):
         object.__setattr__(self, "_kind", kind)
         object.__setattr__(self, "_values", values)
 
-    def to_frame(self) -> DataFrame:
-        """Return the first table, or the numbers and names in one row.
+    def _list_fields(self) -> list[tuple[str, Any]]:
+        return list(self._values.items())
 
-        Returns
-        -------
-        DataFrame
-            Names of rows stand in its first column.
-        """
+    def _name(self) -> str:
+        return self._kind
+
+    def to_frame(self) -> DataFrame:
+        """Return the first table, or the numbers and names in one row."""
         from pandas import DataFrame
 
         tables = (value for value in self._values.values() if isinstance(value, DataFrame))
@@ -134,18 +122,7 @@ class Statistic(Result, Mapping[str, Any]):
         return table.reset_index() if table.index.name else table
 
     def replace(self, **values: Any) -> Self:  # noqa: ANN401 - values of any kind
-        """Return the same statistic with other values.
-
-        Parameters
-        ----------
-        **values : object
-            New values by name.
-
-        Returns
-        -------
-        Statistic
-            Of the same kind.
-        """
+        """Return the same statistic with other values."""
         return type(self)(self._kind, **{**self._values, **values})
 
     def __getattr__(self, name: str) -> Any:  # noqa: ANN401 - values of any kind
@@ -183,10 +160,6 @@ def _make_statistic(cls: type[Statistic], kind: str, values: dict[str, Any]) -> 
     return cls(kind, **values)
 
 
-def _name(result: Result) -> str:
-    return result._kind if isinstance(result, Statistic) else type(result).__name__
-
-
 def to_json_value(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
     """Turn a value into what JSON can hold; numbers that are not finite become None."""
     from pydantic_core import to_jsonable_python
@@ -204,23 +177,3 @@ def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
     if hasattr(value, "to_frame"):  # a column of pandas, which is not imported for this
         value = value.to_frame()
     return value.reset_index().to_dict("records") if hasattr(value, "reset_index") else str(value)
-
-
-def _list_fields(value: Result) -> list[tuple[str, Any]]:
-    if isinstance(value, Statistic):
-        return list(value.items())
-    fields = dataclasses.fields(value)  # type: ignore[arg-type]  # every other result is a dataclass
-    return [(field.name, getattr(value, field.name)) for field in fields]
-
-
-def _list_scalars(value: Result) -> list[tuple[str, Any]]:
-    import numpy as np
-
-    kinds = bool | int | float | str | np.generic
-    return [(name, entry) for name, entry in _list_fields(value) if isinstance(entry, kinds)]
-
-
-def _shorten(value: object) -> str:
-    import numpy as np
-
-    return f"{value:.4g}" if isinstance(value, float | np.floating) else repr(value)

@@ -16,31 +16,12 @@ from feel321.analysis.tradeoff.page import Tradeoff
 from feel321.protocols.trial import Trials
 from feel321.records import Statistic
 from feel321.stimuli.recording import Signal
-from feel321.study.findings import Audit, Problems, Seal
+from feel321.study.folder import Audit, Problems, Seal
 from feel321.study.power import StudyPower
 from feel321.study.status import Status
 
 __all__ = [
-    "About",
-    "Audit",
-    "Context",
-    "Further",
-    "Hypothesis",
-    "MixedFit",
-    "Paper",
-    "PaperClaim",
-    "PowerPlan",
-    "Primaries",
-    "Primary",
-    "Problems",
-    "Results",
-    "Seal",
-    "Signal",
-    "Standing",
-    "Statistic",
-    "Status",
-    "StudyPower",
-    "Table",
-    "Tradeoff",
-    "Trials",
+    "About", "Audit", "Context", "Further", "Hypothesis", "MixedFit", "Paper", "PaperClaim", "PowerPlan", "Primaries",
+    "Primary", "Problems", "Results", "Seal", "Signal", "Standing", "Statistic", "Status", "StudyPower", "Table",
+    "Tradeoff", "Trials",
 ]  # fmt: skip

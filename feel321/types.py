@@ -10,36 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
-    "Direction",
-    "Level",
-    "Method",
-    "Metric",
-    "MetricInfo",
-    "PathLike",
-    "Progress",
-    "Reducer",
-    "Rng",
-    "Samples",
-]
+    "Direction", "Level", "Method", "Metric", "MetricInfo", "PathLike", "Progress", "Reducer", "Rng", "Samples",
+]  # fmt: skip
 
 Samples: TypeAlias = NDArray[np.float64]
 """Real numbers; the docstring that names it gives their shape and unit."""
-
 PathLike: TypeAlias = str | os.PathLike[str]
 """A path to a file or folder."""
-
 Rng: TypeAlias = int | np.random.Generator
 """A seed, or a generator that is used up as it is drawn from."""
-
 Progress: TypeAlias = bool | Callable[[int, int], None]
 """Whether to show a progress bar; or a function called with the numbers of steps done and to do."""
-
 Level: TypeAlias = Literal["as_is", "equal_intensity"]
 """How the gain of stimuli is chosen: see `feel321.stimuli.LEVELS`."""
-
 Method: TypeAlias = Literal["pearson", "spearman", "kendall"]
 """A kind of correlation."""
-
 Direction: TypeAlias = Literal["better", "worse"]
 """Which way a metric points: whether a larger value means a better match or a worse one."""
 

@@ -14,7 +14,7 @@ from hypothesis import settings
 from feel321.protocols.tasks import PROTOCOLS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
 settings.register_profile("feel321", deadline=None, max_examples=25)
 settings.register_profile("soak", deadline=None)
@@ -35,27 +35,15 @@ RECORDINGS = Path(__file__).resolve().parents[2] / "shared" / "recordings"
 DEVICES = {"seat", "screen", "sound", "pulse", "pulses"}
 """Fixtures that start a participant's screen or a sound server."""
 
-TOGETHER = ("tests/analysis/stress", "tests/analysis/chart")
-"""Folders whose tests share what takes seconds to make: the worker that makes it runs them all. So does the worker that
-makes a fixture of a module."""
-
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Mark what runs in real time, and what one worker is to run."""
+    """Mark what runs in real time; that runs on one worker, and so does what shares a fixture of its module."""
+    fixtures = item._fixtureinfo.name2fixturedefs if isinstance(item, pytest.Function) else {}
     if DEVICES & set(getattr(item, "fixturenames", ())):
         item.add_marker("realtime")
-        group = "realtime"
-    else:
-        group = next(filter(item.nodeid.startswith, TOGETHER), "") or find_sharing_file(item)
-    if group:
-        item.add_marker(pytest.mark.xdist_group(group))
-
-
-def find_sharing_file(item: pytest.Item) -> str:
-    """The file of a test that uses a fixture of its module, which a second worker would make again; or none."""
-    fixtures = item._fixtureinfo.name2fixturedefs if isinstance(item, pytest.Function) else {}
-    shares = any(found[-1].scope == "module" for found in fixtures.values())
-    return item.nodeid.partition("::")[0] if shares else ""
+        item.add_marker(pytest.mark.xdist_group("realtime"))
+    elif any(found[-1].scope == "module" for found in fixtures.values()):
+        item.add_marker(pytest.mark.xdist_group(item.nodeid.partition("::")[0]))
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -99,6 +87,9 @@ def shared_recordings() -> Path:
 
 
 @pytest.fixture(autouse=True)
-def _feel321s_protocols_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def _feel321s_protocols_only() -> Iterator[None]:
     """Take out protocols of a lab's own after each test."""
-    monkeypatch.setattr(PROTOCOLS, "_entries", dict(PROTOCOLS))
+    ours = dict(PROTOCOLS)
+    yield
+    PROTOCOLS.clear()
+    PROTOCOLS.update(ours)

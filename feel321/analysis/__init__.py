@@ -10,7 +10,6 @@ type by a TypeError) that says what must be, what was got and what to do; what i
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
 from feel321.doors import import_lazily as _import_lazily
-from feel321.doors import list_imports as _list_imports
 
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
@@ -56,7 +55,7 @@ __all__ = [
     "write_report",
 ]  # fmt: skip
 
-__getattr__ = _import_lazily(__name__, _list_imports(__file__))
+__getattr__ = _import_lazily(__name__, __file__)
 
 
 def __dir__() -> list[str]:

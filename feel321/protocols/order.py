@@ -70,41 +70,38 @@ def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[Tas
         yield TaskTrials(task, groups, lessons)
 
 
-MIXABLE = 3
-"""Fewest rows that go in a circle so that none begins with the condition that the one before ended with."""
+MIXABLE = (
+    3  # fewest rows that go in a circle so that none begins with what the one before ended with
+)
 
 
 def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
     """Order recordings, and the comparisons of each, by rows of Williams squares.
 
-    Rows move on by one per round, and they are shuffled so that a row never begins with what the row before
-    it ended with: no recording comes twice in a row, and no comparison where there is only one recording.
-    Nobody is given a row out of turn for that, so that the balance over participants is exact in every round.
-
-    Inside a block, the row also moves on by one per recording, and per participant by about as many rows as
-    there are recordings: rows that this participant has used come up last for the next. So the positions of
-    reducers, pooled over recordings, are near balance after a few participants already.
+    Rows move on by one per round; shuffled, a row never begins with what the row before it ended with, and nobody is
+    given one out of turn, so that the balance over participants is exact in every round. Inside a block it also moves
+    on by one per recording, and per participant by about as many rows as there are recordings: rows that one
+    participant has used come up last for the next, and the positions of reducers are soon near balance.
     """
     sizes = [{len(groups) for groups in rounds}, {len(g) for own in rounds for g in own.values()}]
     # Sorted, so that the same state of the generator always gives the same rows.
     outer, inner = ({n: shuffle_rows(n, rng) for n in sorted(own)} for own in sizes)
     for turn, groups in enumerate(rounds):
         recordings, blocks, n = tuple(groups), [], len(groups)
-        for place in _take_row(n, outer[n], number, turn=turn):
+        for place in _take_row(n, outer[n], number, turn=turn, touching=True):
             own = recordings[place]
             size = len(groups[own])
-            rows = inner[size]
-            start = place + number * _find_stride(len(rows), n)
-            # Where successive rows do not touch, any may come next.
-            is_free = n > 1 and len(rows) < MIXABLE
-            row = _take_row(size, rows, start + turn * is_free, turn=turn)
+            start = place + number * _find_stride(len(inner[size]), n)
+            row = _take_row(size, inner[size], start, turn=turn, touching=n == 1)
             blocks.append(tuple((own, index) for index in row))
         yield tuple(blocks)
 
 
-def _take_row(n: int, rows: Sequence[int], start: int, *, turn: int) -> tuple[int, ...]:
-    """Take the row whose turn it is; two conditions whose rows touch can only come in the same order each time."""
-    moves = turn if len(rows) >= MIXABLE else 0
+def _take_row(
+    n: int, rows: Sequence[int], start: int, *, turn: int, touching: bool
+) -> tuple[int, ...]:
+    """Take the row whose turn it is. Where successive rows touch, two conditions can only come in the same order."""
+    moves = 0 if touching and len(rows) < MIXABLE else turn
     return williams_row(n, rows[(start + moves) % len(rows)])
 
 
@@ -163,8 +160,7 @@ def _shuffle(things: Sequence[Thing], rng: Generator) -> list[Thing]:
 SPACED = frozenset({"identical", "hidden_reference"})
 """Catch trials that are spaced. Anchors are a third of some rounds: spacing them would let everybody foresee them."""
 
-PATIENCE = 30
-"""An order is drawn until it keeps the rules, or until so many draws were no better than the best."""
+PATIENCE = 30  # draws no better than the best, after which an order need not keep the rules
 
 
 class _Card(NamedTuple):
@@ -176,8 +172,8 @@ class _Card(NamedTuple):
 def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
     """Mix all recordings anew for every participant and round.
 
-    Where the rules cannot be kept, such as with a single recording, they are broken as rarely as possible,
-    for a pilot must be able to run; `find_crowding` says how often.
+    Rules that cannot be kept, as with a single recording, are broken as rarely as possible; `find_crowding` says how
+    often.
     """
     own = _spawn_participant(rng, number)
     last = _Card("", 0, is_spaced=False)
@@ -204,12 +200,11 @@ def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> I
 
 
 def _draw_order(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list[_Card]:
-    """Draw an order of a round that keeps the rules if it can.
+    """Draw an order of a round.
 
-    The round, taken as a circle, is cut into as many equal stretches as it has trials in which the reference is
-    judged. Each stretch gets one, at a place drawn from those that do not touch the last. The circle is opened
-    anywhere, so that every place is as likely as any other. Then the places are filled from left to right, at
-    random from the recordings that did not come just before; a recording that would be left over takes precedence.
+    The round, taken as a circle that is opened anywhere, is cut into as many equal stretches as it has trials in which
+    the reference is judged; each gets one, at a place drawn from those that do not touch the last. Other places are
+    filled at random from the recordings that did not come just before; one that would be left over takes precedence.
     """
     places: list[int] = []
     n, count = len(cards), sum(card.is_spaced for card in cards)
@@ -245,29 +240,23 @@ def _count_crowding(order: Iterable[_Card]) -> int:
     )
 
 
-def find_crowding(trials: Iterable[Trial]) -> list[str]:
+def find_crowding(trials: Iterable[Trial]) -> Iterator[str]:
     """Find where a random order could not keep its rules."""
-    found = []
     main = (trial for trial in trials if trial.block)
     for protocol, group in groupby(main, key=lambda trial: trial.protocol):
         pairs = list(pairwise(group))
-        for count, what in (
-            (sum(a.recording == b.recording for a, b in pairs), "follow one of the same recording"),
-            (
-                sum({a.catch, b.catch} <= SPACED for a, b in pairs),
-                "judge the reference right after another",
-            ),
-        ):
-            if count:
-                found.append(f"{protocol}: {count} of {len(pairs) + 1} trials {what}")
-    return found
+        same = sum(one.recording == after.recording for one, after in pairs)
+        touching = sum({one.catch, after.catch} <= SPACED for one, after in pairs)
+        if same:
+            yield f"{protocol}: {same} of {len(pairs) + 1} trials follow one of the same recording"
+        if touching:
+            yield f"{protocol}: {touching} of {len(pairs) + 1} trials judge the reference right after another"
 
 
 ORDERS: Registry[Callable[..., Iterable[Blocks]]] = Registry(
     "order", {"williams": _order_williams, "blocked": _order_blocked, "random": _order_random}
 )
-"""Name -> order, the only list of names: called with the rounds of a session, the participant's `number` from 1 and
-`rng`, it gives the blocks of each round."""
+"""Name -> order: gives the blocks of each round, of the rounds of a session, the participant's `number` and `rng`."""
 
 
 def make_order(
@@ -281,9 +270,8 @@ def make_order(
 ) -> Trials:
     """Order the main trials of one participant.
 
-    Each task is one section of the session, and each of its repeats one round. In orders by blocks, each block
-    of a round is one recording. Positions within a trial move on from participant to participant and from
-    repeat to repeat.
+    Each task is one section of the session, each of its repeats one round, and in orders by blocks each block one
+    recording. Positions within a trial move on from participant to participant and from repeat to repeat.
 
     Parameters
     ----------
@@ -298,25 +286,19 @@ def make_order(
     order : str
         A name in `ORDERS`.
     rng : int or numpy.random.Generator
-        The study's randomness: the same for every participant of a study, for squares only balance over
-        participants who share them. Shuffled orders are the participant's own even so: they are drawn from
-        the generator and the number together.
+        The study's randomness, the same for every participant: squares only balance those who share them. Shuffled
+        orders are drawn from it and the number together.
 
     Returns
     -------
     Trials
-        Numbered from 1. In a section, no recording follows itself across blocks or rounds, and where there is
-        only one recording, no comparison follows itself across rounds, unless it is alone as well.
+        Numbered from 1. In a section, no recording follows itself across blocks or rounds, and where there is only one
+        recording, no comparison follows itself across rounds, unless it is alone as well.
 
     Raises
     ------
     ValueError
         If there is nothing to order, a number or count is below 1, or there is no such order.
-
-    Notes
-    -----
-    Williams squares (`compare.williams_row`): participants 1, 2, ... take successive rows, in which each comparison
-    follows each other one equally often.
 
     Examples
     --------
@@ -354,8 +336,7 @@ def select_share(
 ) -> tuple[Item, ...]:
     """Select the stimuli of as many recordings as each participant feels, for participant `number` (from 1).
 
-    After any number of participants, the recordings have been given equally often, or once more: shuffled anew, they
-    are dealt out like cards, and those that the last hand of a round holds already come last in the next.
+    All are given equally often, or once more: dealt out like cards, those of a round's last hand come last in the next.
     """
     import numpy as np
 
@@ -374,8 +355,7 @@ def select_share(
     return tuple(item for item in items if item.recording in hand)
 
 
-TASK_ORDERS = ("fixed", "counterbalanced")
-"""Whether all participants have the tasks in the same order, or in those of a Williams square."""
+TASK_ORDERS = ("fixed", "counterbalanced")  # the same for all participants, or by a Williams square
 
 
 def order_tasks(tasks: Sequence[Task], *, number: int) -> tuple[Task, ...]:
@@ -385,10 +365,7 @@ def order_tasks(tasks: Sequence[Task], *, number: int) -> tuple[Task, ...]:
 
 
 def arrange_sections(trials: Iterable[Trial], tasks: Sequence[Task]) -> Trials:
-    """Put the sections of a session into the order of tasks, and number trials and blocks anew.
-
-    What is inside a section stays as it is, so that its balance over participants does not depend on its place.
-    """
+    """Put the sections of a session into the order of tasks, as they are, and number trials and blocks anew."""
     places = [task.protocol for task in tasks]
     ordered = sorted(trials, key=lambda trial: places.index(trial.protocol))
     blocks = list(dict.fromkeys(trial.block for trial in ordered))
@@ -398,8 +375,7 @@ def arrange_sections(trials: Iterable[Trial], tasks: Sequence[Task]) -> Trials:
     )
 
 
-TURNS = 2**16
-"""So many turns to draw from: more than any trial has arrangements, so that all are about equally likely."""
+TURNS = 2**16  # to draw from: many more than any trial has arrangements
 
 
 def make_rehearsal(
@@ -407,15 +383,10 @@ def make_rehearsal(
 ) -> Trials:
     """Choose the trials of training and practice of each task, numbered from `first_number`.
 
-    Training takes comparisons whose right answer is known, and others only when these run out, or when those
-    for high or for low answers would be more than half: nobody is to learn that one answer is right for all.
-    Where an answer is a choice, training is twice as long, for half of the guesses are right. Practice takes what
-    training left. Both are spread over recordings, and neither takes a comparison twice.
-
-    Where only one kind of answer is known, as without anchors, training shows that the task is understood at that
-    end of the scale; whoever always answers there passes. Anchors in the stimulus set are what prevents it.
-
-    Draws come from a child of `rng`, which does not move on, so that an order drawn from it stays what it is.
+    Training takes comparisons whose right answer is known, and others only when these run out, or when those for high
+    or for low answers would be more than half: nobody is to learn that one answer is right for all. Where an answer is
+    a choice, training is twice as long. Practice takes what training left. Draws come from a child of `rng`, which does
+    not move on, so that an order drawn from it stays what it is.
     """
     (own,) = rng.spawn(1)
     sections = _gather_trials(items, tasks)
@@ -470,8 +441,7 @@ def _choose(
 def measure_balance(groups: Iterable[Sequence[Sequence[str]]]) -> tuple[Ends, Ends]:
     """Find the lowest and the highest count of a condition at a position, and of one right after another.
 
-    groups: the orders of participants who had the same conditions, such as those of each recording; conditions of
-    different groups could not meet. Orders that broke off are shorter.
+    groups: the orders of participants who had the same conditions, such as those of each recording.
 
     >>> measure_balance([["ABDC", "BCAD", "CDBA", "DACB"]])
     ((1, 1), (1, 1))

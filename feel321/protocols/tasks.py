@@ -1,21 +1,15 @@
 """The rating tasks: PROTOCOLS, the one list of them, what each compares, their options, and how answers are scored.
 
-- *Realism*: one stimulus by itself, the recording's own vibration and the anchors among them.
-- *Similarity*: a stimulus against a reference, as in Park & Kuchenbecker 2019 (doi:10.1109/WHC.2019.8816148); 100
-  points mean identical. The reference is judged against itself too; nothing is identical to the real surface, the
-  recording itself is the hidden reference there. Strict timing: Muschter et al. 2021 (doi:10.1109/TOH.2021.3077191).
-- *Dissimilarity*: all pairs of the reducers and the recording itself, for a perceptual space (Lee et al. 2022,
-  doi:10.1109/TOH.2022.3174229); 0 points mean identical. Anchors would stretch the space; they are what certainly
-  differs in training.
-- *MUSHRA*: a page with all stimuli of one recording and level arm (ITU-R BS.1534-3), unnamed among them the reference.
-- *ABX*: a and b are a stimulus and its reference, x is one of them again. 100 points mean right.
-- *Triplet*: which of a and b felt more like the reference (van der Maaten & Weinberger 2012,
-  doi:10.1109/MLSP.2012.6349720). With `reference = "every"` each stimulus is the reference in turn.
-- *Preference*: which of a and b is preferred; the recording itself is one of the stimuli.
+Realism judges one stimulus by itself. Similarity compares it with a reference, perhaps the real surface, to which
+nothing is identical: the recording itself is a hidden reference there (Park & Kuchenbecker 2019,
+doi:10.1109/WHC.2019.8816148; strict timing: Muschter et al. 2021, doi:10.1109/TOH.2021.3077191). Dissimilarity compares
+all pairs, for a perceptual space (Lee et al. 2022, doi:10.1109/TOH.2022.3174229), which anchors would stretch: they are
+in training only. A page of MUSHRA holds all stimuli of one recording and level (ITU-R BS.1534-3), in ABX x is a or b
+again, a triplet asks which of two is more like the reference (van der Maaten & Weinberger 2012,
+doi:10.1109/MLSP.2012.6349720).
 
-Judgements of the last two are about a, which is felt first: 100 points mean that a was chosen, 0 that b was. In catch
-trials one of the two is the recording itself and the other an anchor. In every protocol, which of two comes first
-changes with every turn, so that the mean over balanced trials has no advantage of the first.
+A choice is scored 100 points where it is right, or where a, felt first, was chosen. Which of two comes first changes
+with every turn, so that the mean over balanced trials has no advantage of the first.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -51,10 +45,8 @@ LOWEST, HIGHEST = RATING_RANGE
 EXPECTED = {"identical": (75.0, 100.0), "hidden_reference": (55.0, 100.0), "anchor": (0.0, 50.0)}
 """Catch trials: kind -> lowest and highest rating to expect, where 100 points mean that nothing is missing.
 
-The reference against itself is *identical*, the recording judged by itself or against the real surface a *hidden
-reference*; *anchors* should be rated 50 or lower, the better of two as well, so none needs to be known by name. No
-answer is right for both a reference and an anchor, nor are two that differ by less than 5 points, so nobody passes who
-always answers the same. Raters are screened in the analysis, by the limits of BS.1534-3 (90 points).
+No answer is right for both a reference and an anchor, nor are two that differ by less than 5 points, so nobody passes
+who always answers the same. Raters are screened in the analysis, by the limits of BS.1534-3 (90 points).
 """
 
 RIGHT = (HIGHEST, HIGHEST)  # what is expected where only one answer is right
@@ -74,10 +66,9 @@ def count_rows(n: int) -> int:
 def williams_row(n: int, number: int) -> tuple[int, ...]:
     """Make one sequence of a Williams square of n conditions; number: from 0 to `count_rows(n) - 1`.
 
-    In all sequences together each condition is at each position, and each ordered pair of conditions is adjacent,
-    once for even n and twice for odd n (Williams 1949, doi:10.1071/CH9490149). The first sequence zigzags 0, 1, n-1,
-    2, n-2, ...; the others add 1 modulo n. With odd n, the zigzag alone favours one direction of each pair, so every
-    sequence is used backwards as well.
+    All sequences together hold each condition at each position, and each ordered pair side by side, once for even n and
+    twice for odd n (Williams 1949, doi:10.1071/CH9490149). The first zigzags 0, 1, n-1, 2, n-2, ...; the others add 1
+    modulo n. With odd n, the zigzag alone favours one direction of each pair, so all are used backwards as well.
 
     >>> [williams_row(4, number) for number in range(count_rows(4))]
     [(0, 1, 3, 2), (1, 2, 0, 3), (2, 3, 1, 0), (3, 0, 2, 1)]
@@ -158,9 +149,9 @@ def arrange_pair(comparison: Comparison, turn: int) -> Comparison:
         return comparison
     *before, one, other = comparison.parts
     (asked,) = comparison.judgements
-    expected = asked.expected and (
-        asked.expected if asked.part not in CHOICES else _turn_over(asked.expected)
-    )
+    expected = asked.expected
+    if expected and asked.part in CHOICES:
+        expected = _turn_over(expected)
     swapped = (replace(other, name=one.name), replace(one, name=other.name))
     return _pose(asked.part, *before, *swapped, expected=expected, catch=comparison.catch)
 
@@ -317,10 +308,9 @@ def _pair_up(stimuli: Items, task: Task, *, before: tuple[Part, ...]) -> Iterato
 
 
 def choose_pairs(n: int, count: int | None, *, key: str) -> tuple[tuple[int, int], ...]:
-    """Choose so many of the pairs of n things, in order; all of them if there are no more.
+    """Choose so many of the pairs of n things, each in equally many or one more, and all connected from n - 1 pairs on.
 
-    Each thing is in equally many pairs or in one more, and chains of pairs connect all things as soon as that is
-    possible (from n - 1 pairs). The key decides which thing has which place.
+    The key decides which thing has which place.
     """
     names = sorted(range(n), key=lambda place: sha256(f"{key} {place}".encode()).digest())
     pairs = ((names[one], names[other]) for one, other in _list_pairs(n))
@@ -330,9 +320,8 @@ def choose_pairs(n: int, count: int | None, *, key: str) -> tuple[tuple[int, int
 def _list_pairs(n: int) -> Iterator[tuple[int, int]]:
     """List all pairs, so that the first ones are spread evenly over the things.
 
-    Of an even number match by match, each thing in each match once (the circle method of tournaments; two matches in a
-    row make one circle through all things). Of an odd number circle by circle through all of them, in Walecki's way: of
-    each circle every other pair comes first, then the one with the thing that was left over, then the others.
+    Of an even number match by match (the circle method of tournaments); of an odd number circle by circle through all
+    things, in Walecki's way, of each circle every other pair first.
     """
     last = n - 1
     if n % 2 == 0:
@@ -356,16 +345,10 @@ def score_choice(
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """A rating task; the name is also that of its scale in the catalogue of texts.
+    """A rating task, as `docs/extensions.md` describes it; its name is also that of its scale.
 
-    compare: makes the comparisons of all items of one recording, one trial each. timings: its forms, the first by
-    default. references: `original`, `surface`, `reducer` (any by name), `every`; none where judgements are absolute.
-    teach: makes those of training: those of `compare` in the same order, perhaps with more known answers, then perhaps
-    others. arrange: gives the arrangement whose turn (a whole number) it is, so that successive turns balance positions
-    within a trial. score: turns an answer, with the ids of the parts by name, into 0 to 100 points. choices: parts to
-    choose from; none where there is a slider. sure_end: the end of its slider that means the same to everybody, for the
-    simulated observer. some_pairs: whether a study may ask for some of its pairs only. texts: of a lab's own: question,
-    low_label, high_label, anchors of its scale, title and text of its page. sha256: digest of a lab's own code.
+    sure_end: the end of its slider that means the same to everybody, for the simulated observer. some_pairs: whether a
+    study may ask for some of its pairs only. texts, sha256: of a lab's own, which carries its words, and its digest.
     """
 
     name: str
@@ -388,18 +371,13 @@ class Protocol:
         return (self.teach or self.compare)(items, task)
 
 
-_FELT = (ORIGINAL, "reducer")
+_FELT, _ANY = (ORIGINAL, "reducer"), (ORIGINAL, SURFACE, "reducer")
 _CHOICE = Protocol("preference", compare_choices, arrange=arrange_pair, some_pairs=True)
 _CHOICE = replace(_CHOICE, score=score_choice, choices=CHOICES)
 _ABX = replace(_CHOICE, name="abx", references=_FELT, arrange=arrange_abx, some_pairs=False)
 _ALL = (
     Protocol("realism", compare_realism),
-    Protocol(
-        "similarity",
-        compare_similarity,
-        references=(ORIGINAL, SURFACE, "reducer"),
-        sure_end=HIGHEST,
-    ),
+    Protocol("similarity", compare_similarity, references=_ANY, sure_end=HIGHEST),
     Protocol(
         "dissimilarity",
         compare_dissimilarity,
@@ -409,7 +387,7 @@ _ALL = (
     ),
     Protocol("mushra", compare_mushra, (FREE,), _FELT, arrange=arrange_mushra, sure_end=HIGHEST),
     replace(_ABX, compare=compare_abx, teach=teach_abx),
-    replace(_CHOICE, name="triplet", references=(ORIGINAL, SURFACE, "reducer", EVERY)),
+    replace(_CHOICE, name="triplet", references=(*_ANY, EVERY)),
     _CHOICE,
 )
 PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})

@@ -188,8 +188,11 @@ def _list_placeholders(text: str) -> str:
 # Question pages.
 
 KINDS = ("choice", "number", "text", "likert")  # of questions
-TIMES = ("before", "between", "after")
-"""When a question is asked: after the consent, before each rest between trials, or at the end."""
+TIMES = (
+    "before",
+    "between",
+    "after",
+)  # after the consent, before each rest between trials, at the end
 
 READY: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "demographics": {
@@ -200,25 +203,22 @@ READY: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
 """Ready question pages, by name: their questions, without the texts, which every language of the catalogue holds."""
 
 PREFIX = "question."  # what the key of a question's page begins with; its name follows
-LABEL = re.compile(r"[a-z][a-z0-9_]{0,39}")
-"""Names of questions and of a lab's own scales: they stand in tables."""
+LABEL = re.compile(
+    r"[a-z][a-z0-9_]{0,39}"
+)  # names of questions and own scales: they stand in tables
 
 LEAST_OPTIONS, MOST_OPTIONS = 2, 9  # each has a digit
 MOST_QUESTIONS = 60
 MOST_LETTERS = 500  # of a text, which is shown on one screen
 
-Answer = float | str | None
-"""An option, a number, a text, the number of a point; None where the question was left open."""
+Answer = (
+    float | str | None
+)  # an option, a text, a number, that of a point; None where it was left open
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A question page.
-
-    name: as in `answers.csv`. options: what can be chosen; the words of a Likert item's points, empty where a point has
-    none. low, high: least and largest number, None for any. personal: whether the answer is personal data, which
-    journal and table then mark so.
-    """
+    """A question page; options: what can be chosen, or the words of a Likert item's points, empty for none."""
 
     name: str
     kind: str

@@ -1,26 +1,22 @@
 """Blocks before the trials that are rated: detection thresholds, and strength matched by the participant.
 
-Threshold, by two-alternative forced choice: of two intervals one holds the vibration; the participant says which. Which
-one vibrates, and how strongly, follows from the answers that counted so far, by a staircase (Levitt 1971,
-doi:10.1121/1.1912375) or a Bayesian procedure (Kontsevich & Tyler 1999, doi:10.1016/S0042-6989(98)00285-5; Watson
-2017, doi:10.1167/17.3.10): `next` gives the trial to present, `update` takes the interval that was answered, and
-nothing else moves them. A trial that was rejected is presented alike when it comes again, and a session that is resumed
-goes on with the same sequence.
+Threshold, by two-alternative forced choice: of two intervals one holds the vibration. Which one, and how strongly,
+follows from the answers that counted so far, by a staircase (Levitt 1971, doi:10.1121/1.1912375) or a Bayesian
+procedure (Kontsevich & Tyler 1999, doi:10.1016/S0042-6989(98)00285-5; Watson 2017, doi:10.1167/17.3.10), and from
+nothing else, so that a trial that was rejected comes again alike and a resumed session goes on with the same sequence.
 
 The threshold is the level at which a share of 2^(-1/n_down) of the answers is correct, lapses included: 79.4 % for the
-usual three down, one up. Levels are in dB relative to whatever the caller's levels are relative to. The psychometric
-function is a Weibull function of amplitude,
+usual three down, one up. The psychometric function is a Weibull function of amplitude,
 
     P(x) = 1/2 + (1/2 - lapse) (1 - exp(-k 10^(slope (x - threshold) / 20))),
 
 k such that P(threshold) = 2^(-1/n_down). Why not the package `questplus`: it is under the GPL.
 
-Matching (the method of adjustment): a check of stimuli that should be equally strong. A trial holds the recording
-itself, `first`, and a stimulus that was made of it, `second`. The participant moves a marker and feels both again,
-until the second is as strong as the first. The marker moves the level of the second by `DB_PER_POINT`, around a level
-that is drawn for each trial, so that its place tells nothing. Both are played `ATTENUATION_DB` weaker than in the
-study, which leaves room for the strongest second. The recording is matched with itself too: what is not 0 dB there is
-how participants use the marker, and the error of time of the second interval.
+Matching (the method of adjustment) checks stimuli that should be equally strong: the participant moves a marker until
+`second` feels as strong as `first`, the recording itself. The marker moves its level by `DB_PER_POINT` around one that
+is drawn for each trial, so that its place tells nothing. Both are played `ATTENUATION_DB` weaker than in the study,
+which leaves room for the strongest second. The recording is matched with itself too: what is not 0 dB there is how
+participants use the marker, and the error of time of the second interval.
 """
 
 from __future__ import annotations
@@ -39,18 +35,19 @@ if TYPE_CHECKING:
     from feel321.types import Samples
 
 GUESS = 0.5  # share of correct answers without any vibration
-SLOPES = (1.0, 8.0, 16)
-"""Weibull slopes thought possible: lowest, highest, number; all equally likely, in equal steps of the logarithm."""
-
-MARGIN_DB = 6.0
-"""How far beyond the rig's levels a threshold is thought possible, so that one at a limit shows as such."""
-
-THRESHOLD_STEP_DB, LEVEL_STEP_DB = 0.5, 1.0
-"""Resolution of the thresholds thought possible, and of the levels that the Bayesian procedure presents."""
-
-DESCENT = 2
-"""Correct answers in a row before a staircase goes down, until the first wrong one: one would dive on lucky guesses."""
-
+SLOPES = (
+    1.0,
+    8.0,
+    16,
+)  # Weibull slopes thought possible: lowest, highest, number, in equal steps of the logarithm
+MARGIN_DB = 6.0  # how far beyond the rig's levels a threshold is thought possible, so that one at a limit shows
+THRESHOLD_STEP_DB, LEVEL_STEP_DB = (
+    0.5,
+    1.0,
+)  # of thresholds thought possible, and of levels presented
+DESCENT = (
+    2  # correct answers in a row down until the first wrong one: one would dive on lucky guesses
+)
 MOST_DB = 200  # widest range of levels
 UNLIKELY = 0.05  # probability under guessing below which answers are remarked on
 
@@ -59,10 +56,9 @@ UNLIKELY = 0.05  # probability under guessing below which answers are remarked o
 class ThresholdPlan:
     """Settings of a threshold measurement.
 
-    lowest_db, highest_db: the rig's limits, never passed. start_db: first level of a staircase. trials: with vibration;
-    one silent catch trial comes within every `catch_every` of them (0: none). n_down: correct answers in a row before a
-    staircase goes down. steps_db: a staircase's steps, the next one after each reversal, the last one until the end.
-    lapse: assumed share of wrong answers to the strongest vibration. seed: of intervals and catch trials.
+    One silent catch trial comes within every `catch_every` of them (0: none). n_down: correct answers in a row before a
+    staircase goes down. steps_db: the next one after each reversal, the last one until the end. lapse: assumed share of
+    wrong answers to the strongest vibration. seed: of intervals and catch trials.
     """
 
     lowest_db: float
@@ -76,21 +72,13 @@ class ThresholdPlan:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be run."""
+        """Refuse levels out of order; the settings check the numbers of trials, and nobody sets the rest."""
         low, start, high = self.lowest_db, self.start_db, self.highest_db
         if not (0 < high - low <= MOST_DB and low <= start <= high):
             raise ValueError(
                 f"highest_db must be above lowest_db, by {MOST_DB} dB at most, and start_db between "
                 f"them; got {high}, {low} and {start}"
             )
-        if not self.steps_db or not all(0 < step < math.inf for step in self.steps_db):
-            raise ValueError(f"steps_db must be one or more positive steps, got {self.steps_db}")
-        for name, least, most in (("n_down", 2, 4), ("lapse", 0, 0.1), ("trials", 1, 1000)):
-            value = getattr(self, name)
-            if not least <= value <= most:
-                raise ValueError(f"{name} must be from {least} to {most}, got {value}")
-        if self.catch_every < 0:
-            raise ValueError(f"catch_every must be 0 (none) or more, got {self.catch_every}")
 
     @property
     def proportion(self) -> float:
@@ -103,8 +91,7 @@ class ThresholdPlan:
         return self.trials + (self.trials // self.catch_every if self.catch_every else 0)
 
 
-USUAL = ThresholdPlan(lowest_db=-60.0, highest_db=0.0, start_db=-5.0)
-"""Settings for vibrations of 20 to 300 Hz at the hand, in dB relative to 1 m/s² RMS."""
+USUAL = ThresholdPlan(-60.0, 0.0, -5.0)  # of 20 to 300 Hz at the hand, in dB relative to 1 m/s² RMS
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,10 +104,7 @@ class Presentation:
 
 @dataclass(frozen=True, slots=True)
 class ThresholdEstimate:
-    """A person's detection threshold in dB and Weibull slope, with 95 % intervals; NaN where there is no estimate.
-
-    catch_correct: of `catch_trials`; by guessing, half. is_beyond: the interval reaches beyond the rig's levels.
-    """
+    """A person's detection threshold in dB and Weibull slope, with 95 % intervals; NaN where there is no estimate."""
 
     threshold_db: float
     threshold_low_db: float
@@ -153,12 +137,9 @@ def predict_correct(
 
 
 PROCEDURES = ("staircase", "bayesian")
-"""Names of procedures.
-
-*Staircase*, transformed up-down: down after `n_down` correct answers in a row, up after each wrong one. The estimate is
-the mean of the levels at reversals made with the last step, an even number of them; slope and intervals are those of
-the posterior given all answers, for reversals depend on each other, and hold no slope. *Bayesian*: posterior of
-threshold and slope, each level chosen for the least expected entropy after its answer.
+"""Transformed up-down: down after `n_down` correct answers in a row, up after each wrong one; the estimate is the mean
+of an even number of reversals made with the last step, its slope and intervals those of the posterior, for reversals
+depend on each other. Or each level chosen for the least expected entropy of threshold and slope after its answer.
 """
 
 
@@ -262,16 +243,9 @@ def estimate_threshold(procedure: Procedure) -> ThresholdEstimate:
         "by something else than feeling it": find_tail(caught, len(silent)) < UNLIKELY,
         f"interval 1 answered in {first} of {len(answers)} trials": one_sided,
     }
-    return ThresholdEstimate(
-        mean,
-        low,
-        high,
-        *_summarise(slopes[0], procedure.weights.sum(axis=0)),
-        catch_trials=len(silent),
-        catch_correct=caught,
-        is_beyond=is_beyond,
-        notes=tuple(note for note, holds in notes.items() if holds),
-    )
+    slope = _summarise(slopes[0], procedure.weights.sum(axis=0))
+    held = tuple(note for note, holds in notes.items() if holds)
+    return ThresholdEstimate(mean, low, high, *slope, len(silent), caught, is_beyond, held)
 
 
 def find_tail(hits: int, trials: int) -> float:
@@ -326,19 +300,13 @@ def _binary_entropy(chances: Samples) -> Samples:
 
 # The threshold block.
 
-INTERVALS = FIRST, SECOND = ("first", "second")
-"""Names of the parts: the two intervals, of which one is answered, and what is matched with what."""
-
-ASKED = "test"
-"""Name of what the answer to a threshold trial is about: the vibration, in whichever interval it was."""
+INTERVALS = FIRST, SECOND = ("first", "second")  # names of the parts
+ASKED = "test"  # what the answer to a threshold trial is about: the vibration, in whichever interval it was
 
 
 @dataclass(frozen=True, slots=True)
 class ThresholdBlock:
-    """The settings of a threshold block; frequencies are measured one after the other, in this order.
-
-    plan: of each of them, but for its seed. seeds: one per frequency; none before a participant is planned.
-    """
+    """The settings of a threshold block, one frequency after the other; seeds: drawn for each participant."""
 
     procedure: str
     frequencies_hz: tuple[float, ...]
@@ -424,11 +392,7 @@ ATTENUATION_DB = MOST_START_DB + DB_PER_POINT * (RATING_RANGE[1] - MIDDLE)
 
 @dataclass(frozen=True, slots=True)
 class MatchingBlock:
-    """The settings of a matching block.
-
-    level: the level arm that is matched. repeats: of each pair. starts_db: how much stronger the second is at first, of
-    each trial in order; none before a participant is planned.
-    """
+    """The settings of a matching block; starts_db: how much stronger each second is at first, for each participant."""
 
     level: str
     repeats: int = 1

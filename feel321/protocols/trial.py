@@ -18,35 +18,34 @@ if TYPE_CHECKING:
 RATING_RANGE = (0.0, 100.0)  # lowest and highest rating of every scale, in points
 
 FREE = "free"
-TIMINGS = ("strict", "replay", FREE)
-"""How the parts of a trial are felt: once in order; in order and again at will; at will from the start."""
-
+TIMINGS = (
+    "strict",
+    "replay",
+    FREE,
+)  # parts are felt once in order; then again at will; at will from the start
 SURFACE = "surface"  # stands for the id of a stimulus where the real surface is felt
 ORIGINAL = "original"  # name of the recording itself as a reference
-MATCHING, THRESHOLD = "matching", "threshold"
-"""Protocol, scale and phase of the trials of a block of `protocols.threshold`, besides its practice."""
+MATCHING, THRESHOLD = (
+    "matching",
+    "threshold",
+)  # protocol, scale and phase of the trials of these blocks
 
 DEVICE_FLAGS = ("underrun", "clipped", "device_error", "not_delivered")
-FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")
-"""What can be wrong with an attempt at a trial: by the device, or by the participant."""
-
+FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")  # what can be wrong with an attempt at a trial
 VALID, LOST, SPOILED = "valid", "lost", "spoiled"
 """What becomes of an attempt. The device lost it, which uses up no attempt of the participant, or they spoiled it."""
 
-MOST_LOST = 12
-"""A trial that the device lost so often is given up all the same: then the stimulus is to blame, or nobody listens."""
+MOST_LOST = 12  # times that the device lost a trial before it is given up: nobody listens, or the stimulus is to blame
 
 ASIDE = ("ready", "call_us", "timed_out")
-"""Pages that no plan holds: they wait for the participant after an interruption or an answer that did not come in time,
-or for the experimenter after a failure of the device, and change nothing about what comes next."""
+"""Pages that no plan holds: after an interruption, a failure of the device, or an answer that did not come in time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The scale of an answer: a slider from 0 to 100 points, or a choice between parts.
+    """The scale of an answer: a slider, perhaps with words (anchors) along it, or a choice between parts.
 
-    anchors: words along the slider, evenly spaced. choices: names of the parts to choose from; none where there is a
-    slider. further: the other scales of a trial that asks for several.
+    further: the other scales of a trial that asks for several.
     """
 
     name: str
@@ -95,10 +94,7 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One thing that is felt in a trial: a stimulus, or the real surface of a recording.
-
-    name: its name within the trial, such as `reference`, `test`, `a` or `3`; it reveals nothing.
-    """
+    """One thing that is felt in a trial: a stimulus, or the real surface of a recording; its name reveals nothing."""
 
     name: str
     stimulus_id: str | None = None
@@ -109,8 +105,8 @@ class Part:
 class Judgement:
     """One answer that a trial asks for; it becomes one row of `ratings.csv`.
 
-    reference_id: a stimulus, `surface`, or None where the judgement is absolute. expected: lowest and highest
-    rating of a participant who has understood the task; None where any will do. scale: where it is not the trial's.
+    reference_id: a stimulus, `surface`, or None where the judgement is absolute. expected: lowest and highest rating of
+    who has understood the task; None where any will do. scale: where it is not that of the trial.
     """
 
     part: str
@@ -141,10 +137,9 @@ class Comparison:
 class Trial:
     """One comparison at its place in the session of one participant.
 
-    number: in the plan; trials of the main phase are numbered from 1 in their order, others follow. block: from 1; 0 in
-    training and practice. repeat: round of this comparison within its protocol, from 1; 0 outside the main phase.
-    timing: of `TIMINGS`. parts: in order; each must be felt to its end before an answer is taken. phase: `training`,
-    `practice`, `threshold`, `matching` or `main`; only trials of the main phase become ratings.
+    number: from 1, the main phase first. block: from 1; 0 in training and practice. repeat: round of this comparison
+    within its protocol, from 1; 0 outside the main phase. parts: in order; each must be felt to its end before an
+    answer is taken. phase: `training`, `practice`, `threshold`, `matching` or `main`, whose trials become ratings.
     """
 
     number: int
@@ -193,17 +188,7 @@ class Trials(tuple[Trial, ...]):
 
 @dataclass(frozen=True, slots=True)
 class Flow:
-    """The rules of a session besides its trials; they are part of the plan.
-
-    break_trials, break_min: a break after so many trials or minutes; None for none. break_s, rest_s: least duration of
-    a break, and of the rest without any stimulus that every session has. training_pass: share of expected answers at
-    which training is passed, after correction for guessing; after so many rounds the session goes on without.
-    min_response_s: faster answers are too fast. max_attempts: at a trial before it is given up; those that the device
-    lost are not counted. reject: flags that make a trial bad: its rating does not count, and it is tried again; so it
-    always is where no answer could be given. gap_s: silence before each part. level_error_db: largest deviation of a
-    measured playback's level on a calibrated rig, None for any. min_coherence: of a measured playback with what was
-    asked, 0 to 1.
-    """
+    """The rules of a session besides its trials, part of the plan; `settings/meanings.toml` says what each is."""
 
     break_trials: int | None = 60
     break_min: float | None = 10.0
@@ -221,11 +206,7 @@ class Flow:
 
 @dataclass(frozen=True, slots=True)
 class Page:
-    """A page to read, during which nothing is felt.
-
-    key: its text in the catalogue; least_s: shortest time, in s, that it is shown; by: whose key ends it,
-    `participant` or `experimenter`.
-    """
+    """A page to read, by its key in the catalogue, shown for so long at least, until `by` ends it."""
 
     key: str
     least_s: float = 0.0
@@ -234,15 +215,7 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A protocol with the options of a study; `make_task` checks them.
-
-    reference: `original`, `surface` or the name of a reducer. surface: whether the real surface is felt first, where
-    the judgement is absolute. training, practice: trials with feedback, and without feedback, before those that count.
-    pairs: of each recording and level that are compared in a task that may have some only; None for all. scales: of
-    each trial, where there are several. gap_s: silence before each part; None for the session's. answer_timeout_s: time
-    for an answer from when it can be given. onset_s: time from the onset of a trial to that of the next; None to begin
-    when the participant is ready.
-    """
+    """A protocol with the options of a study; `make_task` checks them and says what each is."""
 
     protocol: str
     timing: str

@@ -18,4 +18,4 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-__getattr__ = _import_lazily(__name__, {"Settings": "feel321.study.settings.schema:Settings"})
+__getattr__ = _import_lazily(__name__, __file__)

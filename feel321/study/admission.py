@@ -4,19 +4,17 @@
 read. Two studies of one process whose protocols have one name must take turns: the last that was read has it.
 """
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321 import intake
 from feel321.doors import describe
-from feel321.extensions import call, find_method, is_given
-from feel321.protocols.tasks import PROTOCOLS, Protocol
+from feel321.extensions import Method, call, find_method, is_given
+from feel321.protocols.tasks import PROTOCOLS, Comparisons, Items, Protocol
 from feel321.protocols.trial import (
     MATCHING,
     RATING_RANGE,
@@ -26,12 +24,8 @@ from feel321.protocols.trial import (
     Comparison,
     Judgement,
     Part,
+    Task,
 )
-
-if TYPE_CHECKING:
-    from feel321.extensions import Method
-    from feel321.protocols.tasks import Comparisons, Items
-    from feel321.protocols.trial import Task
 
 OURS = tuple(name for name, one in PROTOCOLS.items() if not one.sha256)
 """Names of feel321's own protocols."""
@@ -86,13 +80,13 @@ def add_texts(texts: dict[str, Any], names: Sequence[str]) -> None:
         scale = {key: own[key] for key in (*WORDS, "anchors") if key in own}
         given = texts["scales"].get(name) or scale
         shown = texts["pages"].get(page) or {key: own[key] for key in PAGE if key in own}
-        missing = [
+        lacking = (
             *(key for key in WORDS if key not in given),
             *(p for p in PAGE if p not in shown),
-        ]
-        if missing:
+        )
+        if missing := ", ".join(lacking):
             raise ValueError(
-                f"protocol {name} has no {', '.join(missing)}; give texts={{...}} to its Protocol, or write "
+                f"protocol {name} has no {missing}; give texts={{...}} to its Protocol, or write "
                 f'[scales.{name}] and [pages."{page}"] into a file of texts and name it as session.language'
             )
         choices = {"choices": list(protocol.choices)} if protocol.choices else {}
@@ -119,7 +113,7 @@ def _admit(given: str, folder: Path) -> str:
         score=partial(_score, method=method, function=found.score),
         sha256=method.sha256,
     )
-    PROTOCOLS.admit(method.name, guarded)
+    PROTOCOLS[method.name] = guarded
     return method.name
 
 
@@ -178,35 +172,29 @@ def _score(
     return float(points)
 
 
-def _check_comparison(method: Method, one: object, known: set[str | None], *, doing: str) -> None:
-    is_whole = isinstance(one, Comparison) and all(
-        isinstance(thing, kind)
-        for things, kind in ((one.parts, Part), (one.judgements, Judgement))
-        for thing in things
-    )
-    if not isinstance(one, Comparison) or not is_whole:
-        got = describe(one)
-        raise TypeError(
-            f"{method}: must make Comparisons of Parts and Judgements, got {got}; {doing}"
-        )
-    if fault := next(_find_faults(one, known), ""):
-        raise ValueError(f"{method}: a comparison {fault}; {doing}")
-
-
 def _list_ids(one: Comparison) -> set[str | None]:
     judged = {name for j in one.judgements for name in (j.stimulus_id, j.reference_id)}
     return {part.stimulus_id for part in one.parts} | judged
 
 
-def _find_faults(one: Comparison, known: set[str | None]) -> Iterator[str]:
+def _check_comparison(method: Method, one: object, known: set[str | None], *, doing: str) -> None:
+    is_whole = isinstance(one, Comparison) and (
+        all(isinstance(part, Part) for part in one.parts)
+        and all(isinstance(judgement, Judgement) for judgement in one.judgements)
+    )
+    if not isinstance(one, Comparison) or not is_whole:
+        must = f"must make Comparisons of Parts and Judgements, got {describe(one)}"
+        raise TypeError(f"{method}: {must}; {doing}")
     names = [part.name for part in one.parts]
-    if not names or not one.judgements:
-        yield "must have parts and judgements"
-    if len({*names}) < len(names):
-        yield f"names a part twice: {', '.join(names)}"
-    if strange := _list_ids(one) - known - {None, SURFACE}:
-        yield f"names stimuli that it was not given: {', '.join(map(str, strange))}"
-    if other := [j.part for j in one.judgements if j.part not in names]:
-        yield f"judges {other[0]!r}, which is not one of its parts: {', '.join(names)}"
-    if one.catch not in CATCHES:
-        yield f"must have a catch of {', '.join(map(repr, CATCHES))}, got {one.catch!r}"
+    listed, strange = ", ".join(names), _list_ids(one) - known - {None, SURFACE}
+    other = [judgement.part for judgement in one.judgements if judgement.part not in names]
+    faults = {
+        "must have parts and judgements": not names or not one.judgements,
+        f"names a part twice: {listed}": len({*names}) < len(names),
+        f"names stimuli that it was not given: {', '.join(map(str, strange))}": strange,
+        f"judges {other[:1] and other[0]!r}, which is not one of its parts: {listed}": other,
+        f"must have a catch of {', '.join(map(repr, CATCHES))}, got {one.catch!r}": one.catch
+        not in CATCHES,
+    }
+    for fault in (fault for fault, holds in faults.items() if holds):
+        raise ValueError(f"{method}: a comparison {fault}; {doing}")

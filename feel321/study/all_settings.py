@@ -1,26 +1,18 @@
-"""The complete list of settings, made from the schemas: name, what it may be, default, unit, meaning.
-
-`settings/meanings.toml` holds the sentence of each key; all else follows from the schemas of `study.toml` and
-`rig.toml`.
-"""
-
-from __future__ import annotations
+"""The complete list of settings, made from the schemas; `settings/meanings.toml` holds the sentence of each key."""
 
 import json
 import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 from pydantic import BaseModel, PydanticUserError, TypeAdapter, ValidationError
+from pydantic.fields import FieldInfo
 
 from feel321.study.actuator.rig import Rig
 from feel321.study.settings.fields import MOST, list_tables
 from feel321.study.settings.schema import Settings
-
-if TYPE_CHECKING:
-    from pydantic.fields import FieldInfo
 
 FILES: dict[str, type[BaseModel]] = {"study.toml": Settings, "rig.toml": Rig}
 UNITS = {
@@ -64,8 +56,9 @@ def list_settings(file: str) -> list[Setting]:
         place = ".".join(filter(None, (table.strip("[]"), key)))
         unit = next((unit for end, unit in UNITS.items() if key.endswith(f"_{end}")), "")
         default = field.get_default(call_default_factory=True)
-        shown = "required" if field.is_required() else show_default(default)
-        one = Setting(table, key, describe(field), shown, unit, meanings.get(place, ""))
+        shown = "" if default in (None, "", {}) else json.dumps(default, default=str)
+        shown = "required" if field.is_required() else shown
+        one = Setting(table, key, _describe(field), shown, unit, meanings.get(place, ""))
         found.setdefault(place, one)
     tables = list(dict.fromkeys(one.table for one in found.values()))
     return sorted(found.values(), key=lambda one: tables.index(one.table))
@@ -92,32 +85,30 @@ def _walk(model: type[BaseModel], where: str, form: str) -> Iterator[tuple[str, 
         if not (inner := list_tables(field.annotation)):
             place = f"[[{where}]]" if form == "list" else f"[{where}]"
             yield place if form else where, key, field
-        inner_form = _find_form(field.annotation)
+        forms = {"tuple": "list", "dict": "named"}
+        outer: Any = field.annotation
+        while (
+            outer is not None and (name := getattr(get_origin(outer), "__name__", "")) not in forms
+        ):
+            outer = next(iter(get_args(outer)), None)
+        inner_form = forms[name] if outer is not None else "table"
         below = ".".join(filter(None, (where, key, "NAME" if inner_form == "named" else "")))
         for each in inner:
             yield from _walk(each, below, inner_form)
 
 
-def _find_form(annotation: object) -> str:
-    """Find out whether a field holds a list of tables, named ones, or a single one."""
-    inside = get_args(annotation)
-    forms: dict[object, str] = {tuple: "list", list: "list", dict: "named"}
-    found = forms.get(get_origin(annotation), "")
-    return found or (_find_form(inside[0]) if inside else "table")
-
-
-def describe(field: FieldInfo) -> str:
+def _describe(field: FieldInfo) -> str:
     """Describe what a key may be: the names that a wrong one is refused with, else its kind and limits."""
-    whole: Any = (
-        Annotated[(field.annotation, *field.metadata)] if field.metadata else field.annotation
+    kind: Any = field.annotation
+    adapter: TypeAdapter[object] = TypeAdapter(
+        Annotated[(kind, *field.metadata)] if field.metadata else kind
     )
-    adapter: TypeAdapter[object] = TypeAdapter(whole)
-    for wrong, kind in (("?", ""), (["?"], "a list of "), ({"?": "?"}, "a list of ")):
+    for wrong, several in (("?", ""), (["?"], "a list of "), ({"?": "?"}, "a list of ")):
         try:
             adapter.validate_python(wrong)
         except ValidationError as error:
             if names := re.search(r"must be one of ([^;'\]]*)", str(error)):
-                return kind + names[1].partition(" [")[0]
+                return several + names[1].partition(" [")[0]
         except (TypeError, ValueError, AttributeError):
             continue
     try:
@@ -139,12 +130,3 @@ def _name_kind(schema: dict[str, Any]) -> str:
     if name == "list" and "items" in schema:
         name = f"list of: {_name_kind(schema['items'])}"
     return " ".join([name, *limits])
-
-
-def show_default(value: object) -> str:
-    """Show a default as TOML has it."""
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(map(show_default, value))}]"
-    if isinstance(value, str | bool):
-        return json.dumps(value) if value != "" else ""
-    return f"{value:g}" if isinstance(value, int | float) else ""

@@ -1,37 +1,54 @@
-"""Steps of a study that need the analysis: the report, and the recordings for the trade-off."""
+"""Steps of a study that need the analysis: the report, further metrics, and the recordings for the trade-off."""
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+import os
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
+from math import nan
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pandas as pd
 
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
-from feel321.analysis.table.metrics import make_info
+from feel321.analysis.table.metrics import ROTATIONS, list_rivals, make_info
 from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
 from feel321.doors import announce
 from feel321.files import write_text
+from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.manifest import find_methods, read_stimuli
+from feel321.stimuli.rivals import RIVALS, measure_batch
+from feel321.stimuli.rotation import match_rotations, random_rotations
+from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli
+from feel321.stimuli.sets.recipe import Recipe, Unread, read_given
+from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.freeze import make_standing
-from feel321.study.metrics import add_rivals, measure_declared, measure_rotations
 from feel321.study.people import list_progress, note_estimates, note_given_up, write_roster
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import closing_results
 from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
-from feel321.study.settings.read import list_origins, make_recipe, open_recordings, read_settings
+from feel321.study.sessions import find_changes
+from feel321.study.settings.read import (
+    list_origins,
+    make_recipe,
+    open_recordings,
+    read_settings,
+    try_recordings,
+)
 from feel321.study.settings.schema import AnalysisTable, Settings
 from feel321.types import MetricInfo
 
@@ -39,8 +56,6 @@ if TYPE_CHECKING:
     from feel321.analysis.replication import Paper
 
 Progress = Callable[[int, int], None]
-
-# The report: of a study's own ratings, or of tables from elsewhere.
 
 
 def analyze_study(  # noqa: PLR0913 - one per choice
@@ -59,19 +74,21 @@ def analyze_study(  # noqa: PLR0913 - one per choice
 
     finish: writes what else belongs into the folder of the report, before the checkpoint.
     """
-    settings = _read_settings(study, ratings, manifest)
+    if None in {ratings, manifest}:  # only where both come from elsewhere may there be no study
+        require_study(study.path)
+    settings = read_settings(study.settings) if study.settings.is_file() else None
     chosen = settings.analysis if settings else AnalysisTable()
-    further, about, asked = Further(pd.DataFrame(), ()), About(), metrics or ()
+    further, about = Further(pd.DataFrame(), ()), About()
     if settings:
         day = ""
         if ratings is None:
             further, day = _derive_tables(study, settings, metrics or chosen.metrics)
-        if asked and set(asked) != set(chosen.metrics):
+        if metrics and set(metrics) != set(chosen.metrics):
             said = f"{study.settings.name} declares {', '.join(chosen.metrics)}."
-            note = f"Metrics {', '.join(asked)} were asked for with this analysis; {said}"
+            note = f"Metrics {', '.join(metrics)} were asked for with this analysis; {said}"
             further = replace(further, notes=(*further.notes, note))
         own = not (ratings or manifest)
-        standing = make_standing(study, settings, metrics=asked, draws=draws, own=own)
+        standing = make_standing(study, settings, metrics=metrics or (), draws=draws, own=own)
         protocols = tuple(settings.session.protocols)
         about = About(settings.study.name, day, protocols, standing=standing)
     listed, folder = manifest or study.manifest, out or study.report
@@ -99,19 +116,11 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     return results
 
 
-def _read_settings(study: StudyFolder, *inputs: Path | None) -> Settings | None:
-    """Read the settings of a study; where ratings and manifest come from elsewhere, there may be none."""
-    if None in inputs:
-        require_study(study.path)
-    return read_settings(study.settings) if study.settings.is_file() else None
-
-
-def read_study_table(study: StudyFolder) -> tuple[Table, int]:
-    """Read the ratings that a report would be about, and the seed of that report."""
+def read_study_table(study: StudyFolder) -> Table:
+    """Read the ratings that a report would be about."""
     settings = read_settings(require_study(study.path).settings)
-    if not write_ratings(study, read_stimuli(study.stimuli)):
-        raise ValueError(f"{study.path}: no ratings yet; run sessions first")
-    table = read_table(
+    _require_ratings(study)
+    return read_table(
         study.ratings,
         study.manifest,
         metrics=settings.analysis.metrics,
@@ -119,7 +128,12 @@ def read_study_table(study: StudyFolder) -> tuple[Table, int]:
         further=measure_declared(study, settings),
         info=list_info(settings),
     )
-    return table, settings.study.seed
+
+
+def _require_ratings(study: StudyFolder) -> None:
+    if not write_ratings(study, read_stimuli(study.stimuli)):
+        simulate = f"feel321 simulate {quote(str(study.path))}"
+        raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
 
 
 def _derive_tables(
@@ -129,37 +143,28 @@ def _derive_tables(
     announce("ratings from the journals")
     everybody = list_progress(study)
     write_roster(study, everybody)
-    stimuli = read_stimuli(study.stimuli)
-    if not write_ratings(study, stimuli):
-        simulate = f"feel321 simulate {quote(str(study.path))}"
-        raise ValueError(f"{study.path}: no ratings yet; run sessions first, or {simulate}")
+    _require_ratings(study)
     write_answers(study)
+    stimuli = read_stimuli(study.stimuli)
     matched = write_matches(study, stimuli)
-    _write_dictionary(study, settings)
+    own = [study.path / name for name in (ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)]
+    paths = (path for path in (study.ratings, *own, study.manifest) if path.is_file())
+    rows = make_dictionary({path.name: pd.read_csv(path) for path in paths}, list_info(settings))
+    groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
+    rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
+    write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
     announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
-    notes = [
+    methods = [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]
+    said = "Reducers and metrics of the lab's own, with the SHA-256 of their code"
+    notes = (
         *further.notes,
         *describe_matches(matched),
         *note_estimates(everybody),
         *note_given_up(everybody),
-    ]
-    if methods := [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]:
-        said = "Reducers and metrics of the lab's own, with the SHA-256 of their code"
-        notes.append(f"{said}: {', '.join(methods)}.")
-    day = max((one.rated_utc[:10] for one in everybody), default="")
-    return replace(further, notes=tuple(notes)), day
-
-
-def _write_dictionary(study: StudyFolder, settings: Settings) -> None:
-    """Describe the columns of the study's own tables, beside them."""
-    own = [study.path / name for name in (ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)]
-    paths = (path for path in (study.ratings, *own, study.manifest) if path.is_file())
-    tables = {path.name: pd.read_csv(path) for path in paths}
-    rows = make_dictionary(tables, list_info(settings))
-    groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
-    rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
-    write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
+        *([f"{said}: {', '.join(methods)}."] if methods else []),
+    )
+    return replace(further, notes=notes), max((one.rated_utc[:10] for one in everybody), default="")
 
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:
@@ -177,13 +182,11 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Pa
 
     claims = []
     for table in paper.claims:
-        number = table.paper.model_dump() if table.paper else {}
-        ends = [number.get(key) for key in ("value", "low", "high")]
-        value, low, high = (float("nan") if one is None else float(one) for one in ends)
-        own = table.model_dump(exclude={"paper"}) | {
-            "options": table.options.model_dump(exclude_none=True)
-        }
-        claims.append(PaperClaim(paper=(value, low, high), **own))
+        own = table.model_dump(exclude={"paper", "options"})
+        ends = (table.paper.value, table.paper.low, table.paper.high) if table.paper else ()
+        value, low, high = (nan if one is None else one for one in ends or (None,) * 3)
+        options = table.options.model_dump(exclude_none=True)
+        claims.append(PaperClaim(paper=(value, low, high), options=options, **own))
     published = [
         {**one.model_dump(exclude={"numbers"}), "reducer": reducer, "paper": value}
         for one in paper.published
@@ -193,16 +196,203 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Pa
     return Paper(paper.citation, paper.doi, paper.seen, tuple(claims), frame, mountings)
 
 
-# What the trade-off works on: a study's recordings, the bundled scenes, recordings from elsewhere.
+# Metrics of a study's stimuli that its manifest lacks: rivals, and over orientations of the sensor.
 
-SUFFIXES = frozenset({".wav", ".csv", ".tsv", ".txt", ".npz", ".npy", ".mat", ".xml", ".ide"})
-"""Files in a folder that are taken for recordings; a single file is read whatever it is called."""
+Given = Sequence[Recording | Unread]
+
+
+def measure_rivals(recordings: Given, stimuli: StimulusSet, recipe: Recipe) -> pd.DataFrame:
+    """Measure every rival metric that the manifest lacks, for every test stimulus; index stimulus_id.
+
+    Like the manifest's match metrics they are those of the reduction: of the recording conditioned by the recipe, at
+    its own rate, before level, resampling and fades. NaN where there is nothing to compare.
+    """
+    tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
+    made: dict[str, set[str]] = defaultdict(set)
+    for one in tests:
+        made[one.recording].add(one.reducer)
+
+    def measure(given: Recording | Unread) -> dict[tuple[str, str], dict[str, float]]:
+        ready = condition(read_given(given), recipe.conditioning)
+        signal, rate_hz = ready.acceleration, ready.rate_hz
+        found = {}
+        for name in made[ready.name]:
+            reduced = np.asarray(find_reducer(recipe, name, ready.name)(signal, rate_hz))
+            values = measure_batch(signal, reduced, rate_hz)
+            found[ready.name, name] = {metric: float(one) for metric, one in values.items()}
+        return found
+
+    # Threads: nearly all of the work is done by libraries that release the interpreter.
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        found = {key: row for one in pool.map(measure, recordings) for key, row in one.items()}
+    rows = {one.stimulus_id: found[one.recording, one.reducer] for one in tests}
+    lacking = [name for name in RIVALS if name not in stimuli.to_frame().columns]
+    return pd.DataFrame.from_dict(rows, orient="index")[lacking].rename_axis("stimulus_id")
+
+
+def add_rivals(
+    study: StudyFolder, settings: Settings | None, manifest: Path, *, further: Further
+) -> Further:
+    """Let all metrics of a manifest be compared, and in a study those too that the manifest lacks."""
+    names, measured, reason = list_rivals(manifest), pd.DataFrame(), ""
+    if settings:
+        recordings, recipe, reason = _read_unchanged(study, settings)
+        try:
+            if not reason:
+                measured = measure_rivals(recordings, read_stimuli(study.stimuli), recipe)
+        except ValueError as error:
+            reason = str(error)
+    note = (f"Metrics that the manifest lacks are not compared: {reason}.",) if reason else ()
+    rivals = tuple(dict.fromkeys([*names, *map(str, measured)]))
+    metrics = further.metrics.join(measured, how="outer") if len(measured) else further.metrics
+    return replace(further, metrics=metrics, notes=(*further.notes, *note), rivals=rivals)
+
+
+def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread], Recipe, str]:
+    """List a study's recordings, if the stimuli are still those of them; else give the reason."""
+    sources, problems = list[Unread](), list[str]()
+    digests: dict[str, str | None] = {}
+    recipe = make_recipe(settings, study.path)
+    lead = "The recordings cannot be read as they were when the set was built"
+    for source, found in try_recordings(settings, study.path):
+        if isinstance(found, str):
+            problems.append(found)
+        else:
+            digests[source.name] = found.sha256
+            sources.append(replace(source, size=found.acceleration.size))
+    try:
+        if not problems and (problems := find_changes(study.stimuli, recipe, digests)):
+            lead = "The settings differ from those of the built set, which this analysis is about"
+    except (OSError, ValueError) as error:
+        problems = [str(error)]
+    reason = f"{lead} ({problems[0].splitlines()[0].rstrip('.')})" if problems else ""
+    return sources, recipe, reason
+
+
+# How the metrics depend on the way the sensor was mounted. Another orientation would have given another signal and
+# other metrics, though people would have felt the same tool: mean and spread over orientations (Park & Kuchenbecker
+# 2019, doi:10.1109/WHC.2019.8816148) belong to the recording and the reducer alone.
+
+MOST, LEAST = 64, 16
+"""Orientations: the mean is then known to 1/8 of their spread, or to 1/4 where there is so much to reduce."""
+
+AFFORDABLE = 400_000_000
+"""Samples, of all orientations, reducers and axes, that are reduced: about five seconds on two cores."""
+
+DECLARED = 4
+"""Times as many orientations for declared predictors: an association is weakened by what a predictor is uncertain."""
+
+DIGITS = 9  # decimals: below, a spread that should be zero is rounding error
+
+
+def measure_rotations(
+    study: StudyFolder,
+    settings: Settings,
+    stimuli: StimulusSet,
+    *,
+    metrics: Sequence[str] | None = None,
+) -> Further:
+    """Describe the metrics over sensor orientations for every test stimulus; metrics: that the analysis is about."""
+    recordings, recipe, reason = _read_unchanged(study, settings)
+    if reason:
+        note = f"{reason}. Rotation statistics of the metrics are left out."
+        warnings.warn(note, stacklevel=2)
+        return Further(pd.DataFrame(), (note,))
+    wanted = settings.analysis.metrics if metrics is None else metrics
+    # The first entry that differs from each in nothing but how the sensor was mounted.
+    first: dict[str, str] = {}
+    own = {"name", "sample", "picture", "rotation"}
+    copies = {
+        entry.title: first.setdefault(repr(entry.model_dump(exclude=own)), entry.title)
+        for entry in settings.recordings
+    }
+    effort = DECLARED if set(wanted) & set(ROTATIONS) else 1
+    seed = settings.study.seed
+    return compute_rotations(
+        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
+    )
+
+
+def measure_declared(study: StudyFolder, settings: Settings) -> Further | None:
+    """Compute the rotation statistics of a study whose analysis declares any."""
+    if not set(settings.analysis.metrics) & set(ROTATIONS):
+        return None
+    return measure_rotations(study, settings, read_stimuli(study.stimuli))
+
+
+def compute_rotations(
+    recordings: Given,
+    stimuli: StimulusSet,
+    *,
+    recipe: Recipe,
+    seed: int,
+    effort: int = 1,
+    copies: Mapping[str, str] = {},
+) -> Further:
+    """Condition recordings, rotate them, reduce them, and describe their metrics; a command would take too long.
+
+    effort: how many times the usual orientations; copies: recording -> the one that it is a turned copy of, or itself.
+    Copies share their statistics: over all orientations these are the same, and only chance would tell them apart.
+    """
+    commands = {one.name for one in recipe.methods if not one.is_python}
+    tests = [one for one in stimuli.stimuli if one.role == "test" and one.reducer not in commands]
+    reducers = list(dict.fromkeys(stimulus.reducer for stimulus in tests))
+    if not reducers:
+        note = "Rotation statistics: all reducers are commands or files; left out."
+        return Further(pd.DataFrame(), (note,))
+    own = [find_reducer(recipe, name) for name in reducers]
+    first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
+    size = sum(
+        one.size if isinstance(one, Unread) else one.acceleration.size for one in first.values()
+    )
+    affordable = effort * AFFORDABLE // (size * len(reducers))
+    n_turns = min(effort * MOST, max(effort * LEAST, affordable))
+    turns = random_rotations(n_turns, np.random.default_rng(seed))
+
+    def match(given: Recording | Unread) -> np.ndarray:
+        ready = condition(read_given(given), recipe.conditioning)
+        return match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
+
+    # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
+    with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
+        of_first = dict(zip(first, pool.map(match, first.values()), strict=True))
+    matches = {one.name: of_first[copies.get(one.name, one.name)] for one in recordings}
+    note = (
+        f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {n_turns} random "
+        f"orientations of the sensor (seed {seed}, the same ones for all), reduced and matched with itself; level, "
+        "resampling and fades, which stimuli go through afterwards, are not included."
+        + (" Turned copies of a recording share theirs." if len(first) < len(recordings) else "")
+        + (f" Left out, as commands or files: {', '.join(sorted(commands))}." if commands else "")
+    )
+    moments = {
+        name: np.stack([one.mean(axis=-1), one.std(axis=-1, ddof=1)], axis=-1).round(DIGITS)
+        for name, one in matches.items()
+    }
+    table = pd.DataFrame(
+        [moments[one.recording][reducers.index(one.reducer)].ravel() for one in tests],
+        index=pd.Index([one.stimulus_id for one in tests], name="stimulus_id"),
+        columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
+    )
+    mountings = [
+        {"recording": recording, "reducer": reducer, "metric": metric}
+        | {"mounting_mean": float(values.mean())}
+        | dict(
+            zip(("q05", "q50", "q95"), np.quantile(values, [0.05, 0.5, 0.95]).tolist(), strict=True)
+        )
+        for recording, found in matches.items()
+        for reducer, of_reducer in zip(reducers, found, strict=True)
+        for metric, values in zip(MATCHES, of_reducer, strict=True)
+    ]
+    return Further(table, (note,), mountings=pd.DataFrame(mountings))
+
+
+# What the trade-off works on.
 
 
 def gather_recordings(
     folder: Path, *, scenes: bool = False, extra: Sequence[Path] = ()
 ) -> tuple[Recording, ...]:
-    """Gather the recordings that methods are compared on.
+    """Gather the recordings that methods are compared on: a study's, the bundled scenes, files from elsewhere.
 
     All are conditioned as the study's own, because that is what participants feel; its crop, which names times in the
     study's recordings, is done to those alone. Of equal recordings the first is kept; a name that is taken gets a
@@ -210,7 +400,6 @@ def gather_recordings(
     """
     study = StudyFolder(folder) if scenes or extra else require_study(folder)
     found: list[Recording] = []
-    mistakes: list[str] = []
     steps = Conditioning()
     if study.settings.is_file():
         settings = read_settings(study.settings)
@@ -218,11 +407,13 @@ def gather_recordings(
         steps = make_recipe(settings, folder).conditioning
     n_own = len(found)
     others = [make_scene(name) for name in SCENES] if scenes else []
-    others += (read_recording(path) for path in _list_files(extra))
-    for one in others:
+    for one in (*others, *map(read_recording, extra)):
         if one.sha256 not in {former.sha256 for former in found}:
-            found.append(replace(one, name=_name_apart(one.name, {each.name for each in found})))
-    ready = []
+            taken = {each.name for each in found}
+            numbered = (f"{one.name} ({number})" for number in count(2))
+            name = next(name for name in chain([one.name], numbered) if name not in taken)
+            found.append(replace(one, name=name))
+    ready, mistakes = list[Recording](), list[str]()
     for place, recording in enumerate(found):
         try:
             crop_s = steps.crop_s if place < n_own else None
@@ -234,11 +425,6 @@ def gather_recordings(
     return tuple(ready)
 
 
-def _name_apart(name: str, taken: Collection[str]) -> str:
-    numbered = (f"{name} ({number})" for number in count(2))
-    return next(one for one in chain([name], numbered) if one not in taken)
-
-
 def find_ratings(study: StudyFolder) -> Table | None:
     """Find the ratings of a study, as analyze does: derived from its journals, or a table that was put there."""
     if study.journals:
@@ -246,17 +432,3 @@ def find_ratings(study: StudyFolder) -> Table | None:
     else:
         rated = study.ratings.is_file() and study.manifest.is_file()
     return read_table(study.ratings, study.manifest) if rated else None
-
-
-def _list_files(paths: Sequence[Path]) -> Iterator[Path]:
-    for path in paths:
-        entries = [path]
-        if path.is_dir():
-            own = path.glob("[!.]*")
-            entries = sorted(one for one in own if one.is_file() and one.suffix.lower() in SUFFIXES)
-        if not entries:
-            suffixes = " ".join(sorted(SUFFIXES))
-            raise FileNotFoundError(
-                f"{path}: no recordings in this folder; name another, or files ending in {suffixes}"
-            )
-        yield from entries

@@ -23,7 +23,7 @@ from threading import Thread
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from feel321.files import create_text, make_folder, sync_folder, temporary_folder
-from feel321.study.findings import Seal
+from feel321.study.folder import Seal
 from feel321.study.session.journal import SESSION_FILE, digest, list_journals, utc_now
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
 

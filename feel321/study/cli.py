@@ -1,25 +1,32 @@
-"""`feel321 VERB [STUDY]`: the command line, and the one place where errors become exit codes.
+"""`feel321 VERB [STUDY]`: the command line, its help, and the one place where errors become exit codes.
 
 0 done, 1 could not, 2 wrong use, 130 interrupted, 143 ended by SIGTERM, 129 terminal closed.
 An error is one line on stderr.
 """
 
 import errno
+import inspect
 import os
+import shutil
 import signal
 import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from pathlib import Path
+from textwrap import wrap
+from time import monotonic
 from typing import NoReturn
 
-from cyclopts import App, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts import App, Argument, CycloptsError, Parameter, UnusedCliTokensError
+from cyclopts.annotations import resolve_optional
 from cyclopts.exceptions import MissingArgumentError
 
 from feel321 import __version__, intake
-from feel321.doors import clean_text
+from feel321.doors import announcing, clean_text
 from feel321.study.commands import shared
+from feel321.study.folder import UsageError
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
@@ -44,13 +51,11 @@ VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
-LONGEST = 1000
-"""Letters of a line of an error."""
-
-
-ABOUT = (
-    "Find out whether match metrics of three-to-one vibration reduction predict what people feel."
-)
+LONGEST = 1000  # letters of a line of an error
+SWITCHES = {
+    "-q": "quiet", "--quiet": "quiet", "-v": "verbose", "--verbose": "verbose", "--traceback": "traceback",
+}  # fmt: skip
+"""Switches that every verb has, in any place."""
 
 APP = App(
     "feel321",
@@ -68,13 +73,6 @@ for _module, _verbs in HOMES.items():
     for _verb in _verbs:
         APP.command(f"feel321.study.commands.{_module}:{_verb}", name=_verb)
 APP.register_install_completion_command(show=False)
-
-
-def find_verb(name: str) -> Callable[..., object]:
-    """Find the function that does what a verb says."""
-    if (verb := APP[name].default_command) is None:
-        raise KeyError(name)
-    return verb
 
 
 class Terminated(KeyboardInterrupt):
@@ -103,10 +101,22 @@ def heed_signals() -> Iterator[None]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb."""
-    call = shared.read_call(sys.argv[1:] if arguments is None else arguments)
-    with heed_signals(), shared.calling(call):
-        return _run_verb(call)
+    """Run one verb; behind -- all words are the verb's."""
+    given = sys.argv[1:] if arguments is None else arguments
+    end = given.index("--") if "--" in given else len(given)
+    switches = {SWITCHES[word]: True for word in given[:end] if word in SWITCHES}
+    words = ["--help" if word == "-h" else word for word in given[:end] if word not in SWITCHES]
+    call, begun = shared.Call((*words, *given[end:]), **switches), monotonic()
+
+    def log(text: str) -> None:
+        shared.echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
+
+    token = shared.CALL.set(call)
+    try:
+        with heed_signals(), announcing(log if call.verbose else str):
+            return _run_verb(call)
+    finally:
+        shared.CALL.reset(token)
 
 
 def _run_verb(call: shared.Call) -> int:
@@ -115,7 +125,7 @@ def _run_verb(call: shared.Call) -> int:
         with warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: shared.warn(str(message))
             return _call(call.words)
-    except CycloptsError as error:
+    except (CycloptsError, UsageError) as error:
         return _complain(_hint(error, verb), code=WRONG_USE)
     except KeyboardInterrupt as stop:
         kept = "; what is done is kept, the same command continues" if verb in RESUMED else ""
@@ -138,18 +148,15 @@ def _call(words: Sequence[str]) -> int:
     if words[0] == "--version":
         shared.echo(f"feel321, version {__version__}")
     elif words[0] == "--help":
-        groups = {
-            title: {name: find_verb(name) for name in names} for title, names in GROUPS.items()
-        }
-        shared.echo(shared.describe_program(ABOUT, groups))
+        shared.echo(describe_program())
     elif words[0] in VERBS and "--help" in words:
-        shared.echo(shared.describe_verb(words[0], APP[words[0]], find_verb(words[0])))
+        shared.echo(describe_verb(words[0]))
     else:
         return int(APP(words) or DONE)
     return DONE
 
 
-def _hint(error: CycloptsError, verb: str) -> str:
+def _hint(error: Exception, verb: str) -> str:
     """Say what was wrong, where to look, and, where something is missing, what a whole call looks like."""
     said = str(error).partition(" Available commands: ")[0].rstrip(".")
     if isinstance(error, UnusedCliTokensError):
@@ -158,7 +165,8 @@ def _hint(error: CycloptsError, verb: str) -> str:
         return f"{said}; see: feel321 --help"
     hint = f"{said}; see: feel321 {verb} --help"
     if isinstance(error, MissingArgumentError):
-        hint += f", for example: {shared.find_example(find_verb(verb)).partition(';')[0]}"
+        example = read_doc(verb).partition("Example: ")[2].partition("\n")[0]
+        hint += f", for example: {example.partition(';')[0]}"
     return hint
 
 
@@ -182,3 +190,98 @@ def _complain(message: str, *, code: int) -> int:
     for line in shared.cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
         shared.echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
     return code
+
+
+# The help, in plain text, from the verbs' type hints and docstrings.
+
+ABOUT = (
+    "Find out whether match metrics of three-to-one vibration reduction predict what people feel."
+)
+COLUMN, NARROWEST, WIDEST = 34, 40, 100
+
+EVERYWHERE = (
+    ("-q, --quiet", "Only results and errors."),
+    ("-v, --verbose", "Print each step as it begins."),
+    ("-h, --help", "Show this text."),
+)
+"""Options of every verb."""
+
+KINDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH", bool: ""}
+"""Type of an option -> what stands behind its name."""
+
+
+def find_verb(name: str) -> Callable[..., object]:
+    """Find the function that does what a verb says."""
+    if (verb := APP[name].default_command) is None:
+        raise KeyError(name)
+    return verb
+
+
+def read_doc(name: str) -> str:
+    """Read what the docstring of a verb says before its parameters."""
+    return (inspect.getdoc(find_verb(name)) or "").partition("\n\nParameters\n")[0]
+
+
+def describe_program() -> str:
+    """Describe the program: its verbs by group."""
+    options = [
+        ("--version", "Show the version."),
+        ("--install-completion", "Let this shell complete verbs and options."),
+        *EVERYWHERE,
+    ]
+    lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(ABOUT)]
+    lines += ["", "Options:", *_lay_rows(options)]
+    for title, verbs in GROUPS.items():
+        rows = [(name, read_doc(name).partition("\n\n")[0]) for name in verbs]
+        lines += ["", f"{title}:", *_lay_rows(rows)]
+    return "\n".join([*lines, "", "  Begin with: feel321 demo"])
+
+
+def describe_verb(name: str) -> str:
+    """Describe a verb: what it does, its arguments and options, and an example."""
+    *paragraphs, examples = read_doc(name).split("\n\n")
+    found = APP[name].assemble_argument_collection(parse_docstring=True)
+    places, rows = [], []
+    for one in (one for one in found if one.parse and not one.children):
+        if one.name.startswith("-"):
+            rows.append(_describe_option(one))
+        else:
+            is_several = one.field_info.kind is one.field_info.VAR_POSITIONAL
+            places.append(one.name if is_several or one.required else f"[{one.name}]")
+    lines = [f"Usage: feel321 {name} {' '.join([*places, '[OPTIONS]'])}"]
+    for paragraph in paragraphs:
+        lines += ["", *_fill(paragraph)]
+    lines += ["", "Options:", *_lay_rows([*rows, *EVERYWHERE])]
+    return "\n".join([*lines, "", *(f"  {line}" for line in examples.splitlines())])
+
+
+def _describe_option(argument: Argument) -> tuple[str, str]:
+    """Name an option with what it takes, and say what it means."""
+    names = ", ".join(sorted(set(argument.names) - set(argument.negatives), key=len))
+    kind = argument.parameter.metavar or KINDS.get(resolve_optional(argument.hint), "NAME")
+    default, choices = argument.field_info.default, argument.get_choices()
+    notes = [f"one of {', '.join(choices)}"] if choices else []
+    if isinstance(default, int | float | str) and default not in {"", False}:
+        notes.append(f"default: {default}")
+    notes += ["required"] if argument.required else []
+    meaning = " ".join([argument.parameter.help or "", *(f"[{note}]" for note in notes)])
+    return f"{names} {kind}".rstrip(), meaning
+
+
+def _lay_rows(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Lay names beside their meanings, in two columns."""
+    column = min(max(len(name) for name, _ in rows) + 4, COLUMN)
+    for name, text in rows:
+        begin = f"  {name}"
+        if len(begin) + 2 > column:
+            yield begin
+            begin = ""
+        yield from _fill(text, first=f"{begin:<{column}}", rest=" " * column)
+
+
+def _fill(text: str, *, first: str = "  ", rest: str = "  ") -> list[str]:
+    columns = min(max(shutil.get_terminal_size().columns, NARROWEST), WIDEST)
+    words = " ".join(text.split())
+    return wrap(
+        words, columns, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False
+    )

@@ -1,4 +1,4 @@
-"""The folder of a study: its places and tables, how it is begun and found."""
+"""The folder of a study: its places and tables, how it is begun and found; what checks of it give."""
 
 from __future__ import annotations
 
@@ -7,14 +7,17 @@ from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from feel321.doors import check_name
 from feel321.files import create_text, is_of_group, make_folder
+from feel321.records import Result
 from feel321.study.session.journal import PARTICIPANT_ID, list_journals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
+
+    from pandas import DataFrame
 
     from feel321.study.session.plan import Dossier
 
@@ -46,14 +49,12 @@ TEMPLATES = files("feel321.study") / "settings"
 BUNDLED = TEMPLATES / "bundled"
 
 
-def name_delivered(number: int) -> str:
-    """Name the file of a playback.
+class UsageError(ValueError):
+    """Arguments that cannot be, whatever the study holds: exit code 2 on the command line."""
 
-    Examples
-    --------
-    >>> name_delivered(12)
-    '0012.wav'
-    """
+
+def name_delivered(number: int) -> str:
+    """Name the file of a playback."""
     return f"{number:04}.wav"
 
 
@@ -87,6 +88,11 @@ class StudyFolder:
         return self.path / "stimuli"
 
     @property
+    def manifest(self) -> Path:
+        """The table of stimuli."""
+        return self.stimuli / "manifest.csv"
+
+    @property
     def sessions(self) -> Path:
         """One folder per participant."""
         return self.path / ("rehearsals" if self.is_rehearsal else "sessions")
@@ -102,11 +108,6 @@ class StudyFolder:
         return self.path / "ratings.csv"
 
     @property
-    def manifest(self) -> Path:
-        """The table of stimuli."""
-        return self.stimuli / "manifest.csv"
-
-    @property
     def report(self) -> Path:
         """The folder of the report."""
         return self.path / "report"
@@ -114,7 +115,7 @@ class StudyFolder:
     @property
     def participants(self) -> list[Path]:
         """The participants' folders, sorted; one that a crash left with nothing but its lock was not begun."""
-        return [entry for entry in self._entries if _is_ours(entry) and any(entry.glob("[!.]*"))]
+        return [one for one in self._list_entries(ours=True) if any(one.glob("[!.]*"))]
 
     @property
     def planned(self) -> list[Path]:
@@ -127,7 +128,7 @@ class StudyFolder:
     @property
     def strangers(self) -> list[Path]:
         """What else lies beside the participants' folders, sorted: copies, and what drives and programs leave."""
-        return [entry for entry in self._entries if not _is_ours(entry)]
+        return self._list_entries(ours=False)
 
     @property
     def journals(self) -> list[Path]:
@@ -161,10 +162,11 @@ class StudyFolder:
         if path.is_file() and self.sessions.is_dir() and is_of_group(self.sessions):
             path.chmod(0o640)
 
-    @property
-    def _entries(self) -> list[Path]:
+    def _list_entries(self, *, ours: bool) -> list[Path]:
         # Hidden ones are the system's, or a file that is being written.
-        return sorted(self.sessions.glob("[!.]*"))
+        entries = sorted(self.sessions.glob("[!.]*"))
+        codes = {one for one in entries if PARTICIPANT_ID.fullmatch(one.name) and one.is_dir()}
+        return [one for one in entries if (one in codes) is ours]
 
 
 def name_all(read: Callable[[Path], Read], folders: Iterable[Path]) -> list[Read]:
@@ -180,18 +182,8 @@ def name_all(read: Callable[[Path], Read], folders: Iterable[Path]) -> list[Read
     return found
 
 
-def _is_ours(entry: Path) -> bool:
-    return entry.is_dir() and PARTICIPANT_ID.fullmatch(entry.name) is not None
-
-
 def list_bundled() -> tuple[str, ...]:
-    """List the studies that are ready to be run: published ones, and designs of our own.
-
-    Examples
-    --------
-    >>> list_bundled()
-    ('airotouch', 'generated', 'landin2010', 'lee2022', 'park2019')
-    """
+    """List the studies that are ready to be run: published ones, and designs of our own."""
     names = (entry.name for entry in BUNDLED.iterdir() if entry.name.endswith(".toml"))
     return tuple(sorted(name.removesuffix(".toml") for name in names))
 
@@ -202,7 +194,7 @@ def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
     bundled: which ready study it is to be; if left out, one of bundled scenes, with the settings that labs change
     first. Methods of its own that it names are written beside it.
     """
-    text = read_template() if bundled is None else read_bundled(bundled)
+    text = read_template(bundled)
     study = StudyFolder(path)
     make_folder(path / "recordings")
     create_text(study.settings, text)
@@ -230,12 +222,63 @@ def require_study(path: Path) -> StudyFolder:
     return study
 
 
-def read_template() -> str:
-    """Read the `study.toml` that a new study begins with."""
-    return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
+def read_template(bundled: str | None = None) -> str:
+    """Read the `study.toml` that a new study begins with, or that of a ready study."""
+    if bundled is None:
+        return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
+    check_name(bundled, list_bundled(), "study")
+    return (BUNDLED / f"{bundled}.toml").read_text(encoding="utf-8")
 
 
-def read_bundled(name: str) -> str:
-    """Read the `study.toml` of a published study."""
-    check_name(name, list_bundled(), "study")
-    return (BUNDLED / f"{name}.toml").read_text(encoding="utf-8")
+# Results of checking, auditing and sealing a study.
+
+
+class Findings(Result):
+    """Texts of several kinds."""
+
+    __slots__ = ()
+
+    def to_frame(self) -> DataFrame:
+        """Return one row per finding, with the columns `kind` and `text`."""
+        import pandas as pd
+
+        kinds = {name: value for name, value in self.to_dict().items() if isinstance(value, list)}
+        rows = [(kind.rstrip("s"), text) for kind, texts in kinds.items() for text in texts]
+        return pd.DataFrame(rows, columns=["kind", "text"])
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Problems(Findings):
+    """What stands in the way of a study; what may not be meant; how strong stimuli are; remarks on recordings."""
+
+    problems: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+    figures: Mapping[str, Any] = field(default_factory=dict)
+
+    def __add__(self, other: Problems) -> Problems:
+        """Put what was found in two parts of a study together."""
+        names = ("problems", "warnings", "notes", "remarks")
+        texts = {name: getattr(self, name) + getattr(other, name) for name in names}
+        return Problems(**texts, figures={**self.figures, **other.figures})
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Audit(Findings):
+    """Findings: every gap, duplicate and edit; remarks; what was compared; id of the newest checkpoint, if any."""
+
+    findings: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+    sentence: str = ""
+    checkpoint: str = ""
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Seal(Findings):
+    """When, and the checkpoint's id, for the lab book; remotes that have it; problems: why others have not."""
+
+    utc: str
+    checkpoint: str
+    places: tuple[str, ...] = ()
+    problems: tuple[str, ...] = ()

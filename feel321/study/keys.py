@@ -24,14 +24,12 @@ KEY_NAMES = (
 SIGNS = {"left": "←", "right": "→", "up": "↑", "down": "↓", "pageup": "⇞", "pagedown": "⇟"}
 """What stands on keys that have no word."""
 
-PLAY = "play "
-"""What the action of each of the keys `play` begins with; a number from 1 follows."""
+PLAY = "play "  # what the action of each of the keys `play` begins with; a number from 1 follows
 
 
 def _as_tuple(names: object) -> object:
-    return (
-        (names,) if isinstance(names, str) else tuple(names) if isinstance(names, list) else names
-    )
+    listed = [names] if isinstance(names, str) else names
+    return tuple(listed) if isinstance(listed, list) else listed
 
 
 def _check_keys(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -39,9 +37,8 @@ def _check_keys(names: tuple[str, ...]) -> tuple[str, ...]:
         if name not in KEY_NAMES:
             near = get_close_matches(name.lower(), KEY_NAMES, n=1)
             hint = f"did you mean {near[0]!r}?" if near else "press it in a text editor to see it"
-            raise ValueError(
-                f"must be keys, a letter, a digit, f1 to f24 or a name such as enter, space, pageup, comma; {hint}"
-            )
+            allowed = "a letter, a digit, f1 to f24 or a name such as enter, space, pageup, comma"
+            raise ValueError(f"must be keys, {allowed}; {hint}")
     return names
 
 
@@ -75,24 +72,19 @@ class KeysTable(fields.TomlTable):
 
     @model_validator(mode="after")
     def _do_one_thing_each(self) -> Self:
-        uses: dict[str, list[str]] = {}
+        uses: dict[str, str] = {}
         for key, action in self.list_uses():
-            uses.setdefault(key, []).append(action)
-        for key, actions in uses.items():
-            if len(actions) > 1:
-                raise ValueError(
-                    f"got {key!r} for {' and '.join(actions)}, but a key does one thing; change one of them"
-                )
+            if (other := uses.setdefault(key, action)) != action:
+                both = f"got {key!r} for {other} and {action}"
+                raise ValueError(f"{both}, but a key does one thing; change one of them")
         return self
 
     def list_uses(self) -> Iterator[tuple[str, str]]:
         """List every key with its action."""
         for action, keys in self:
-            if action == "type_values":
-                yield from ((digit, "type_values") for digit in digits * self.type_values)
-            else:
-                for number, key in enumerate(keys, start=1):
-                    yield key, f"{PLAY}{number}" if action == "play" else action
+            listed = digits * keys if action == "type_values" else keys
+            for number, key in enumerate(listed, start=1):
+                yield key, f"{PLAY}{number}" if action == "play" else action
 
     def name_action(self, key: str) -> str:
         """Name what a key does; empty if nothing."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -32,9 +32,9 @@ from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
 from feel321.study.observer.model import Casting, find_person, make_model
 from feel321.study.observer.simulated import Participant
-from feel321.study.people import read_progress
-from feel321.study.session.engine import Outcome
+from feel321.study.people import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
+from feel321.study.session.ports import Place
 from feel321.study.sessions import (
     Room,
     lead_session,
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from feel321.study.screen.input import Hand
     from feel321.study.session.journal import Journal
     from feel321.study.session.plan import Plan
-    from feel321.study.session.ports import Place, Presenter
+    from feel321.study.session.ports import Presenter
 
 INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
 
@@ -65,7 +65,7 @@ def run_participant(
     simulated: bool = False,
     on_step: Callable[[Place], None] | None = None,
     warn: Callable[[str], None] = lambda _: None,
-) -> Outcome:
+) -> Place:
     """Run the session of one participant, or resume it; seed: of a simulated one."""
     study, settings, stimuli = room.study, room.settings, room.stimuli
     require_current_set(study, settings)
@@ -80,9 +80,9 @@ def run_participant(
         seed = settings.study.seed if seed is None else seed
         room = replace(room, casting=Casting(make_model(settings), seed))
     plan = plan_sessions(room, settings, [participant], simulated=simulated)[0]
-    own = read_progress(study.sessions / plan.participant)
+    own = make_progress(study.read_person(study.sessions / plan.participant))
     if own.state == "finished":  # No window is opened for it.
-        return Outcome(own.answered, own.total, given_up=own.given_up)
+        return Place(own.answered, own.total, given_up=own.given_up)
     room = replace(room, pace=read_pace(study, stimuli))
     open_own = partial(open_lab, room=room)
     try:
@@ -222,10 +222,8 @@ def _make_check(room: Room) -> DeliveryCheck | None:
         return None
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
-    recordings = []
-    for source in read.list_unread(settings, folder):
-        with suppress(OSError, TypeError, ValueError):  # its stimuli have no delivered metrics
-            recordings.append(source.read())
+    found = (one for _, one in read.try_recordings(settings, folder))
+    recordings = [one for one in found if not isinstance(one, str)]
     return DeliveryCheck(
         room.stimuli,
         rig,

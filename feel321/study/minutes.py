@@ -4,38 +4,29 @@ What is felt takes as long as the stimuli do. What people add, by answering, fee
 the journals of real participants; before there are any, from the response times of simulated ones.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import exp
 from statistics import median
-from typing import TYPE_CHECKING
 
 from feel321.protocols.agenda import SECONDS, Agenda
+from feel321.protocols.texts import Question
 from feel321.protocols.threshold import name_tone
-from feel321.protocols.trial import VALID, Page
+from feel321.protocols.trial import VALID, Flow, Item, Page, Task, Trial
+from feel321.stimuli.sets.manifest import StimulusSet
+from feel321.study.folder import StudyFolder
 from feel321.study.session.engine import find_gap
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
-from feel321.study.session.plan import make_trials, replay
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from feel321.protocols.texts import Question
-    from feel321.protocols.trial import Flow, Item, Task, Trial
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Records
-    from feel321.study.session.plan import Design, Dossier, Plan
+from feel321.study.session.journal import Records
+from feel321.study.session.plan import Design, Dossier, Plan, make_trials, replay
 
 UNHURRIED = (0.7, 0.4)
 """Mean and standard deviation of the logarithm of a response time in s: a median of 2.0 s."""
 
 STROKE_S = 3.0  # duration of a stroke over the real surface
-PAGE_S = 10.0
-"""Time for a page that may be left at once, until real participants have read some."""
+PAGE_S = 10.0  # for a page that may be left at once, until real participants have read some
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +43,7 @@ class Pace:
     participants: int = 0
 
 
-SIMULATED = Pace(page_s=0.0)
-"""The pace of simulated participants, who do not read."""
+SIMULATED = Pace(page_s=0.0)  # the pace of simulated participants, who do not read
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,19 +56,11 @@ class Length:
     participants: int
 
     def describe(self) -> str:
-        """Write it in one line.
-
-        Examples
-        --------
-        >>> Length(20.6, 24.2, 96, 0).describe()
-        'a session takes about 21 to 24 min with 96 trials (at the pace of simulated participants)'
-        """
+        """Write it in one line."""
         ends = dict.fromkeys(f"{end:.0f}" for end in (self.low_min, self.high_min))
         who = f"{self.participants} so far" if self.participants else "simulated participants"
-        return (
-            f"a session takes about {' to '.join(ends)} min with {self.trials} trials "
-            f"(at the pace of {who})"
-        )
+        took = f"{' to '.join(ends)} min with {self.trials} trials"
+        return f"a session takes about {took} (at the pace of {who})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,15 +74,15 @@ class Sitting:
     tasks: Mapping[str, Task] = field(default_factory=dict)
 
     @classmethod
-    def plan(cls, course: Plan, flow: Flow, durations: Mapping[str, float]) -> Sitting:
+    def plan(cls, course: Plan, flow: Flow, durations: Mapping[str, float]) -> "Sitting":
         """Take trials from a plan, and the duration of tones from its threshold block, if it has one."""
         tasks = {task.protocol: task for task in course.tasks}
-        if (block := course.threshold) is None:
-            return cls(course.trials, flow, durations, course.questions, tasks)
-        # Silence before a tone is the block's own.
-        tone_s = block.duration_s + block.gap_s - flow.gap_s
-        tones = {name_tone(frequency): tone_s for frequency in block.frequencies_hz}
-        return cls(course.trials, flow, {**durations, **tones}, course.questions, tasks)
+        if (block := course.threshold) is not None:
+            # Silence before a tone is the block's own.
+            tone_s = block.duration_s + block.gap_s - flow.gap_s
+            tones = {name_tone(frequency): tone_s for frequency in block.frequencies_hz}
+            durations = {**durations, **tones}
+        return cls(course.trials, flow, durations, course.questions, tasks)
 
     def measure_felt(self, trial: Trial) -> float:
         """Compute how long it takes to feel every part of a trial once, in s."""
@@ -111,10 +93,9 @@ class Sitting:
     def count_down(
         self, pace: Pace, *, agenda: Agenda | None = None, clock_s: float = 0.0
     ) -> dict[int, float]:
-        """Work the session through; returns the time that is left in s, by the trials that are done.
+        """Work through what is still to be done; returns the time that is left in s, by the trials that are done.
 
-        agenda: what is still to be done, all by default; clock_s: time since the session began. Every answer is taken
-        as a good one, and as expected where any is.
+        Every answer is taken as a good one, and as expected where any is.
         """
         agenda = agenda or Agenda(self.trials, self.flow, self.questions)
         reached: dict[int, float] = {}
@@ -146,8 +127,7 @@ def measure_design(
     design: Design, items: Sequence[Item], *, durations: Mapping[str, float], groups: int
 ) -> Length:
     """Measure how long the sessions of a design take, in each of so many groups."""
-    numbers = range(1, groups + 1)
-    courses = (make_trials(design, items, number=number) for number in numbers)
+    courses = (make_trials(design, items, number=number) for number in range(1, groups + 1))
     sittings = [Sitting.plan(course, design.flow, durations) for course in courses]
     return measure_length(sittings, Pace())
 
@@ -157,20 +137,20 @@ def find_durations(stimuli: StimulusSet) -> dict[str, float]:
     return {row.recording: row.duration_s for row in stimuli.stimuli}
 
 
-# The pace of those who were there.
-
-
 def observe_pace(dossiers: Iterable[Dossier], durations: Mapping[str, float]) -> Pace:
     """Measure the pace of a study's real participants; that of simulated ones where there are none yet."""
     spent: dict[str, list[float]] = defaultdict(list)
     pages: list[float] = []
     participants = 0
     for dossier in dossiers:
-        if dossier.plan.simulated or not dossier.records.has(TrialRated):
+        plan, records = dossier.plan, dossier.records
+        if plan.simulated or not records.has(TrialRated):
             continue
         participants += 1
-        pages += _list_readings(dossier.plan, dossier.records)
-        for trial, took_s in _list_answers(dossier.plan, dossier.records, durations):
+        least_s = {"break": plan.flow.break_s, "rest": plan.flow.rest_s}
+        pages += [max(0.0, p.stood_s - least_s.get(p.key, 0.0)) for p in records.find(PageRead)]
+        pages += [answered.stood_s for answered in records.find(QuestionAnswered)]
+        for trial, took_s in _list_answers(plan, records, durations):
             spent[trial.protocol] += [took_s / len(trial.judgements)] * len(trial.judgements)
     every = [took_s for own in spent.values() for took_s in own]
     if not every:  # nobody has come to the trials that count yet
@@ -197,14 +177,6 @@ def _list_answers(
         if record.event == TrialRated.event and record.data["trial"] in trials:
             trial = trials[record.data["trial"]]
             yield trial, max(0.0, last_s - shown_s - sitting.measure_felt(trial))
-
-
-def _list_readings(plan: Plan, records: Records) -> Iterator[float]:
-    """List the time on each page beyond the shortest."""
-    least_s = {"break": plan.flow.break_s, "rest": plan.flow.rest_s}
-    for page in records.find(PageRead):
-        yield max(0.0, page.stood_s - least_s.get(page.key, 0.0))
-    yield from (answered.stood_s for answered in records.find(QuestionAnswered))
 
 
 def find_left(

@@ -17,7 +17,7 @@ from feel321.stimuli.sets.render import list_methods
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.numbers import find_station, plan_participants
 from feel321.study.persons.answers import make_keeper
-from feel321.study.session.engine import Outcome, run_session
+from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan
@@ -93,30 +93,24 @@ def lead_session(
     identity: Mapping[str, Any],
     make_presenter: MakePresenter,
     on_step: Callable[[Place], None] | None = None,
-) -> tuple[Outcome, str]:
+) -> tuple[Place, str]:
     """Begin or resume the session of one participant and run it as far as it goes."""
     folder = room.study.sessions / plan.participant
     with open_session(
         folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=room.accept_rig
-    ) as (stored, journal):
-        by_code = list_by_code(room.stimuli, seed=stored.seed)
+    ) as (own, journal):
+        by_code = list_by_code(room.stimuli, seed=own.seed)
         durations, keep = find_durations(room.stimuli), make_keeper(folder, journal)
-        left_s = find_left(stored, journal.records, durations=durations, pace=room.pace)
+        left_s = find_left(own, journal.records, durations=durations, pace=room.pace)
 
         def note(place: Place) -> None:
             if on_step is not None:
                 on_step(replace(place, left_s=left_s.get(place.done)))
 
         stimuli, scales = room.stimuli, room.scales
-        with make_presenter(stored, journal, by_code) as shown:
+        with make_presenter(own, journal, by_code) as shown:
             outcome = run_session(
-                stored,
-                shown,
-                stimuli=stimuli,
-                journal=journal,
-                scales=scales,
-                on_step=note,
-                keep=keep,
+                own, shown, stimuli=stimuli, journal=journal, scales=scales, on_step=note, keep=keep
             )
         return outcome, journal.notice
 
@@ -138,14 +132,9 @@ def list_rig_problems(
         render.find_mix(rig)
     except ValueError as error:
         return [f"{name}: {error}"]
-    rate_hz, full_scale = own.rate_hz, own.full_scale_m_s2
+    rate_hz, most = own.rate_hz, own.full_scale_m_s2
     problems = render.find_rig_problems(
-        rig,
-        stimuli,
-        rate_hz=rate_hz,
-        full_scale_m_s2=full_scale,
-        certificate=certificate,
-        sounds=sounds,
+        rig, stimuli, rate_hz=rate_hz, full_scale_m_s2=most, certificate=certificate, sounds=sounds
     )
     if threshold := settings.session.threshold:
         block = threshold.make_block()

@@ -1,17 +1,16 @@
 """Sessions of simulated participants: who takes part, what they plant, and many of them side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from functools import partial
-from itertools import count, islice
+from itertools import count
 from threading import Event, Lock
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.study.checkpoints import note_checkpoint
+from feel321.study.folder import StudyFolder
 from feel321.study.observer.model import Casting, Touch, expect_rating, find_person, make_model
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.people import write_roster
@@ -20,15 +19,11 @@ from feel321.study.ratings import write_matches, write_ratings
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Clock, Journal, list_journals, read_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, Plan
+from feel321.study.session.ports import Presenter
 from feel321.study.sessions import Room, lead_session, open_room, plan_sessions, require_current_set
 from feel321.study.settings.read import make_identity, read_settings
+from feel321.study.settings.schema import Settings
 from feel321.study.strength import find_unfelt
-
-if TYPE_CHECKING:
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.ports import Presenter
-    from feel321.study.settings.schema import Settings
 
 SIDE_BY_SIDE = 16
 """Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
@@ -42,11 +37,7 @@ class Planted(NamedTuple):
 
 
 def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
-    """Compute what simulated participants plant in realism ratings, after clipping at the ends of the scale.
-
-    Slopes and terms of reducers are those of one regression, within recordings, of the mean ratings of careful
-    participants.
-    """
+    """Compute what simulated participants plant in realism ratings: a regression within recordings, after clipping."""
     import numpy as np
 
     model = make_model(settings)
@@ -87,7 +78,7 @@ def simulate_study(
     require_current_set(study, settings)
     seed = settings.study.seed if seed is None else seed
     room = open_room(study, settings, stimuli, now=now)
-    notices = run_simulation(room, settings, participants, seed=seed, progress=progress)
+    notices = _run_sessions(room, participants, seed=seed, progress=progress)
     write_roster(study)
     write_matches(study, stimuli)
     write_answers(study)
@@ -99,16 +90,11 @@ def simulate_study(
     return rows
 
 
-def run_simulation(
-    room: Room,
-    settings: Settings,
-    participants: int,
-    *,
-    seed: int,
-    progress: Callable[[int, int], None] | None = None,
+def _run_sessions(
+    room: Room, participants: int, *, seed: int, progress: Callable[[int, int], None] | None
 ) -> list[str]:
     """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
-    names = list_participants(room.study, participants)
+    settings, names = room.settings, list_participants(room.study, participants)
     plans = plan_sessions(room, settings, names, simulated=True)
     casting = Casting(make_model(settings), seed)
     total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
@@ -144,15 +130,16 @@ def run_simulation(
 
 def list_participants(study: StudyFolder, number: int) -> list[str]:
     """List the codes of simulated participants, without those who were released or withdrawn."""
-
-    def is_here(name: str) -> bool:
-        folder = study.sessions / name
+    names: list[str] = []
+    for place in count(1):
+        if len(names) == number:
+            break
+        folder = study.sessions / f"sim{place:03d}"
         journals = list_journals(folder)
-        if (folder / TOMBSTONE_FILE).exists():
-            return False
-        return not (journals and read_journal(journals[-1]).records.has(SessionReleased))
-
-    return list(islice(filter(is_here, (f"sim{place:03d}" for place in count(1))), number))
+        released = journals and read_journal(journals[-1]).records.has(SessionReleased)
+        if not (released or (folder / TOMBSTONE_FILE).exists()):
+            names.append(folder.name)
+    return names
 
 
 @contextmanager

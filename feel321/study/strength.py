@@ -22,7 +22,7 @@ from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold, to_db
 from feel321.study.actuator import render
 from feel321.study.actuator.mixer import ROUNDING
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
-from feel321.study.findings import Problems
+from feel321.study.folder import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
 

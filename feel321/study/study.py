@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
 from feel321.doors import as_path, as_seed, follow
-from feel321.study.folder import StudyFolder, create_study, require_study
+from feel321.study.folder import (
+    Audit,
+    Problems,
+    Seal,
+    StudyFolder,
+    UsageError,
+    create_study,
+    require_study,
+)
 from feel321.study.session.journal import Clock, utc_now
 
 if TYPE_CHECKING:
@@ -20,12 +28,12 @@ if TYPE_CHECKING:
     from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.findings import Audit, Problems, Seal
     from feel321.study.power import StudyPower
-    from feel321.study.session.plan import Dossier
     from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
     from feel321.types import PathLike, Progress, Rng
+
+    Numbers = int | Sequence[int]
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -103,19 +111,24 @@ class Study:
         faults = find_faults(self.folder)
         return replace(found, warnings=(*found.warnings, *faults), notes=(*found.notes, *frozen))
 
-    def build(self, workers: int | Workers = 1, *, page: bool = True) -> StimulusSet:
+    def build(self, workers: int | Workers = 1, *, no_page: bool = False) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
+
+        Open stimuli/index.html in a browser to see, measure and hear every stimulus.
+
+        Example: feel321 build my-study --workers 2
 
         Parameters
         ----------
         workers : int or Workers
             Number of processes, or who else does the work.
-        page : bool
-            Whether the set gets a page on which stimuli are seen, measured and heard, `stimuli/index.html`.
+        no_page : bool
+            No stimuli/index.html.
         """
         from feel321.stimuli.sets.build import find_copies
         from feel321.study.workflow import build_study
 
+        page = not no_page
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(self.folder, workers=workers, page=page, progress=step)
         noticed = [f"{one.name}: {text}" for one in facts for text in one.warnings]
@@ -135,32 +148,17 @@ class Study:
         """
         import pandas as pd
 
-        self.simulate_sessions(participants, None if rng is None else as_seed(rng))
-        return pd.read_csv(self.folder.ratings)
-
-    def simulate_sessions(self, participants: int, seed: int | None = None) -> int:
-        """Do as `simulate`, without pandas, which takes a second to import.
-
-        Parameters
-        ----------
-        participants : int
-            How many take part.
-        seed : int, optional
-            Random seed of the participants; the study's by default.
-        """
         from feel321.study.simulation import simulate_study
 
         if participants < 1:
             raise ValueError(f"participants must be 1 or more, got {participants}")
+        seed = None if rng is None else as_seed(rng)
         with follow(self.progress, "simulate") as step:
-            return simulate_study(
-                self.folder,
-                participants=participants,
-                seed=seed,
-                now=self.now,
-                progress=step,
+            simulate_study(
+                self.folder, participants=participants, seed=seed, now=self.now, progress=step,
                 warn=self._warn,
-            )
+            )  # fmt: skip
+        return pd.read_csv(self.folder.ratings)
 
     def status(self) -> Status:
         """Read how far every participant has come, and how balanced the design is so far. Blind."""
@@ -171,33 +169,52 @@ class Study:
 
     def analyze(
         self,
-        draws: int | None = None,
         *,
-        rivals: bool = False,
-        metrics: Sequence[str] = (),
         ratings: PathLike | None = None,
         manifest: PathLike | None = None,
         out: PathLike | None = None,
+        metrics: Sequence[str] = (),
+        rivals: bool = False,
+        draws: int | None = None,
     ) -> Results:
-        """Relate the ratings to the match metrics and write the report into `report/`.
+        """Relate the ratings to the match metrics and write the report.
+
+        Writes index.html, results.json (every number of the page; --json prints it), tables/ and figures/ into
+        STUDY/report. Metrics, bootstrap draws and margin of equivalence are declared in study.toml, [analysis].
+
+        Example: feel321 analyze my-study
+                 feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
+                 feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match
+                 feel321 analyze my-study --rivals
 
         Parameters
         ----------
-        draws : int, optional
-            Bootstrap draws per interval; as `study.toml` declares by default.
-        rivals : bool
-            Also say which of all metrics predicts best, corrected for how many were tried.
-        metrics : sequence of str
-            Numeric columns of the manifest to analyze; those that `study.toml` declares if left out.
-        ratings, manifest : str or path, optional
-            Ratings from elsewhere, and the stimuli that were rated; the study's by default.
+        ratings : str or path, optional
+            Ratings from elsewhere; needs a manifest outside a study.
+        manifest : str or path, optional
+            The stimuli rated.  [default: the study's]
         out : str or path, optional
-            Where to, instead of `report/`.
+            Where to, instead of report/.
+        metrics : sequence of str
+            A numeric manifest column to analyze; repeatable.  [default: as declared]
+        rivals : bool
+            Also rank all metrics, corrected for how many were tried.
+        draws : int, optional
+            Bootstrap draws per interval; as study.toml declares by default.
         """
         from feel321.study.analyze import analyze_study
         from feel321.study.export.narrative import write_methods
+        from feel321.study.persons.withdrawal import recording_output
 
-        with follow(self.progress, "analyze") as step:
+        if manifest is not None and ratings is None:
+            raise UsageError("--manifest needs --ratings; give both, or --ratings alone in a study")
+        if ratings is not None and manifest is None and not self.folder.settings.is_file():
+            raise UsageError(
+                "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
+            )
+        target = self.folder.report if out is None else as_path(out)
+        recording = recording_output(self.folder, "analyze", target, now=self.now)
+        with recording, follow(self.progress, "analyze") as step:
             return analyze_study(
                 self.folder,
                 ratings=None if ratings is None else as_path(ratings),
@@ -205,23 +222,29 @@ class Study:
                 metrics=metrics or None,
                 draws=draws,
                 rivals=rivals,
-                out=None if out is None else as_path(out),
+                out=None if out is None else target,
                 progress=step,
                 finish=partial(write_methods, self.folder) if ratings is None else None,
             )
 
-    def audit(self, *, expect: str = "", remotes: Sequence[str] = ()) -> Audit:
-        """Verify plans, journals, stimuli and tables, and compare all files with the checkpoints.
+    def audit(self, *, remotes: Sequence[str] = (), expect: str = "") -> Audit:
+        """Verify plans, journals and stimuli; list every change.
+
+        Compares the journals with plans, tables and report, and the files with the checkpoints in .evidence and at
+        its remotes. What no checkpoint covers is not judged: recordings, personal answers, other results.
+
+        Example: feel321 audit my-study
+                 feel321 audit my-study --remote /media/usb/evidence.git
+                 feel321 audit my-study --expect 5f0c2a7e91d4
 
         Parameters
         ----------
-        expect : str
-            The id of a checkpoint that must be there, or how it begins.
         remotes : sequence of str
-            Git remotes with checkpoints, folders or URLs, besides those that the study is pushed to.
+            A further git remote with checkpoints; repeatable.
+        expect : str
+            Fail without this checkpoint.
         """
         from feel321.study.auditing.study import examine
-        from feel321.study.findings import Audit
         from feel321.study.freeze import describe_frozen, find_faults
 
         with follow(self.progress, "audit") as step:
@@ -231,14 +254,22 @@ class Study:
         return Audit(findings, remarks, found.sentence, found.checkpoint)
 
     def seal(self, reason: str = "", *, to: str = "") -> Seal:
-        """Record the digests of all files as a checkpoint, and push it to the remotes.
+        """Take a checkpoint of the study, and push it to its remotes.
+
+        A checkpoint is a commit in the git repository .evidence of the study: digests of its files, never their
+        contents. A remote that others cannot write to reveals every later change (feel321 audit); it may be a folder
+        that is not there yet, and is kept if it takes this checkpoint.
+
+        Example: feel321 seal my-study
+                 feel321 seal my-study --to /mnt/elsewhere/my-study.git
+                 feel321 seal my-study --reason "analysis.draws raised, as preregistered"
 
         Parameters
         ----------
         reason : str
-            Why settings, texts or methods were changed since the last checkpoint.
+            Why settings, texts or methods changed.
         to : str
-            A further git remote, a folder or a URL; it is kept if it takes this checkpoint.
+            Git remote to push to from now on: a folder outside the study, or a URL.
         """
         from feel321.study.checkpoints import take_checkpoint
 
@@ -247,67 +278,76 @@ class Study:
     def power(  # noqa: PLR0913 - every choice that changes the answer has a name of its own
         self,
         *,
-        participants: int | Sequence[int] = (),
-        recordings: int | Sequence[int] = (),
-        reducers: int | Sequence[int] = (),
-        repeats: int | Sequence[int] = (),
-        effects: Mapping[str, float] | None = None,
-        hypothesis: str | None = None,
+        participants: Numbers = (),
+        recordings: Numbers = (),
+        reducers: Numbers = (),
+        repeats: Numbers = (),
+        effects: Mapping[str, float] | Sequence[str] = (),
         pilot: str | None = None,
-        manifest: PathLike | None = None,
         wanted: float = 0.8,
         studies: int = 1000,
         workers: int | Workers = 1,
         seed: int | None = None,
-        folder: PathLike | None = None,
+        out: PathLike | None = None,
     ) -> StudyPower:
-        """Find how many participants, recordings and reducers the study needs, and write the page into `power/`.
+        """Find how many participants, recordings and reducers a study needs.
+
+        Simulates this very study: its stimuli, protocols, primary model and Holm's method. Writes a page, tables
+        and JSON into STUDY/power. After Ctrl-C the same command continues.
+
+        Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
 
         Parameters
         ----------
-        participants, recordings, reducers, repeats : int or sequence of int
-            Numbers that are compared; around the study's own if left out.
-        effects : Mapping of str to float, optional
-            Metric, or attribute/metric (which goes first) -> slope to plan for, in points per step of the metric: +0.1
-            of a match, a power of ten of metrics in dB or without bounds (the result names it). As the study's
-            simulated observers feel if left out; 0 for metrics that they do not feel.
-        hypothesis : str, optional
-            Attribute/metric that the recommended design is for; the one of `effects` with the least power if left out.
+        participants : int or sequence of int
+            Numbers of participants.  [default: 8 to 48]
+        recordings : int or sequence of int
+            Numbers of recordings.  [default: half to three times the study's]
+        reducers : int or sequence of int
+            Numbers of reducers.  [default: half to 1.5 times the study's]
+        repeats : int or sequence of int
+            Ratings of each stimulus by one person.  [default: 1 to 4]
+        effects : Mapping of str to float, or sequence of str
+            Slope to plan for, in points per +0.1 of a match, or per power of ten (+1 dB) of other metrics;
+            repeatable; ATTRIBUTE/METRIC for one scale.  [default: as simulated observers feel]
         pilot : str, optional
-            Table of ratings to take standard deviations from, or "study" for the study's own; the usual ones of
-            `analysis.Truth` if left out.
-        manifest : str or path, optional
-            The stimuli of the pilot; the study's by default.
+            Ratings to take standard deviations from; 'study': its own.  [default: published ones]
         wanted : float
-            Power that is asked for.
+            Target power.
         studies : int
-            Simulated studies of each checked design; 0 for the closed form alone.
+            Simulated studies of each checked design; 0: closed form only.
         workers : int or Workers
-            Number of processes, or who else does the work. The result does not depend on it.
+            Number of processes, or who else does the work.
         seed : int, optional
             Random seed; the study's by default.
-        folder : str or path, optional
-            Where to, instead of `power/`.
+        out : str or path, optional
+            Where to, instead of power/.
         """
         from feel321.analysis.report.folder import check_target
         from feel321.jobs import as_workers
         from feel321.study import power
+        from feel321.study.analyze import measure_declared
+        from feel321.study.persons.withdrawal import recording_output
 
-        target = self.folder.path / "power" if folder is None else as_path(folder, "folder")
+        target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
-        given = None if manifest is None else as_path(manifest, "manifest")
-        seed = self.settings.study.seed if seed is None else seed
-        with follow(self.progress, "power") as step:
+        sizes = [participants, recordings, reducers, repeats]
+        recording = recording_output(self.folder, "power", target, now=self.now)
+        with recording, follow(self.progress, "power") as step:
+            further = measure_declared(self.folder, self.settings)
             task = power.set_up(
-                self.folder, effects=effects, pilot=pilot, pilot_manifest=given, wanted=wanted
+                self.folder, effects=effects, pilot=pilot, wanted=wanted, further=further
             )
             found = power.plan_study(
-                task, participants=participants, recordings=recordings, reducers=reducers, repeats=repeats,
-                hypothesis=hypothesis or "", studies=studies, seed=seed, keep=target / power.KEPT,
-                workers=as_workers(workers), progress=step,
-            )  # fmt: skip
-        found.write(target)
-        return found
+                task,
+                dict(zip(power.SIZES, sizes, strict=True)),
+                studies=studies,
+                seed=self.settings.study.seed if seed is None else seed,
+                keep=target / power.KEPT,
+                workers=as_workers(workers),
+                progress=step,
+            )
+            return replace(found, path=found.write(target).parent)
 
     @property
     def settings(self) -> Settings:
@@ -341,51 +381,6 @@ class Study:
 
         return read_stimuli(self.folder.stimuli)
 
-    def plan(self, participant: str, *, blind: bool = True) -> DataFrame:
-        """Read the plan of a participant.
-
-        Parameters
-        ----------
-        participant : str
-            The participant's code.
-        blind : bool
-            Whether stimuli keep their codes; if False, they are named.
-        """
-        import pandas as pd
-
-        from feel321.study.session.plan import list_codes
-
-        plan = self._find(participant).plan
-        rows = [
-            {**asdict(trial), **asdict(judgement), "scale": judgement.scale or trial.scale}
-            for trial in plan.trials
-            for judgement in trial.judgements
-        ]
-        frame = pd.DataFrame(rows).drop(columns=["parts", "judgements"])
-        if not blind:
-            named = list_codes(self.stimuli(), seed=plan.seed)
-            codes = {code: name for name, code in named.items()}
-            columns = ["stimulus_id", "reference_id"]
-            frame[columns] = frame[columns].replace(codes)
-        return frame
-
-    def journal(self, participant: str) -> DataFrame:
-        """Read the journals of a participant.
-
-        Parameters
-        ----------
-        participant : str
-            The participant's code.
-        """
-        import pandas as pd
-
-        rows = [
-            (number, record.sequence, record.utc, record.event, dict(record.data))
-            for number, chain in enumerate(self._find(participant).chains, start=1)
-            for record in chain.records
-        ]
-        return pd.DataFrame(rows, columns=["session", "sequence", "utc", "event", "data"])
-
     def ratings(self) -> DataFrame:
         """Derive the ratings from the journals."""
         import pandas as pd
@@ -395,19 +390,11 @@ class Study:
         write_ratings(self.folder, self.stimuli())
         return pd.read_csv(self.folder.ratings)
 
-    def answers(self) -> DataFrame:
-        """Derive the answers to question pages from the journals; personal ones are marked so."""
-        import pandas as pd
-
-        from feel321.study.persons.answers import COLUMNS, write_answers
-
-        return pd.DataFrame(write_answers(self.folder), columns=list(COLUMNS))
-
     def table(self) -> Table:
         """Join ratings and metrics for the analysis."""
         from feel321.study.analyze import read_study_table
 
-        return read_study_table(self.folder)[0]
+        return read_study_table(self.folder)
 
     def __repr__(self) -> str:
         """Write what a user would write to open it."""
@@ -418,10 +405,3 @@ class Study:
             warnings.warn(message, stacklevel=4)
         else:
             self.warn(message)
-
-    def _find(self, participant: str) -> Dossier:
-        known = {folder.name: folder for folder in self.folder.participants}
-        if participant not in known:
-            listed = ", ".join(known) or "nobody yet"
-            raise ValueError(f"participant must be one of {listed}; got {participant!r}")
-        return self.folder.read_person(known[participant])

@@ -30,13 +30,9 @@ if TYPE_CHECKING:
 
     Thresholds = Mapping[float, ThresholdEstimate]
 
-WIDEST_DB = 12.0
-"""Widest 95 % interval of a threshold that is usable: a factor of two in amplitude to either side."""
-
+WIDEST_DB = 12.0  # widest usable 95 % interval: a factor of two in amplitude to either side
 PLACES = 3  # decimal places in tables: the last bits of a sum may differ between processors
-
-LOW_RATE_HZ = 8000.0
-"""Rate at which sensation levels are computed again for each participant: nothing is felt beyond 1000 Hz."""
+LOW_RATE_HZ = 8000.0  # for the sensation levels of each participant: nothing is felt beyond 1000 Hz
 
 
 def read_thresholds(plan: Plan, records: Records) -> dict[float, ThresholdEstimate]:

@@ -2,8 +2,8 @@
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
-from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -15,21 +15,16 @@ from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import list_borrowed, make_scales
 from feel321.protocols.trial import CHOOSING, Item
-from feel321.stimuli.condition import condition, fade
+from feel321.stimuli.condition import condition
 from feel321.stimuli.match import HIGHEST_HZ
-from feel321.stimuli.recording import Recording
-from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
-from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import build as sets
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe, Unread, weigh_bands
+from feel321.stimuli.sets.recipe import Recipe
 from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.checkpoints import declaring
-from feel321.study.findings import Problems
-from feel321.study.folder import SETTINGS_FILE, StudyFolder
-from feel321.study.methods import list_methods
+from feel321.study.folder import SETTINGS_FILE, Problems, StudyFolder
 from feel321.study.minutes import measure_design
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
@@ -55,7 +50,7 @@ def build_study(
     settings = read.read_settings(study.settings)
     sources = read.list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
-    _protect_used_set(study, recipe, sources)
+    _protect_used_set(study, settings, recipe)
     with declaring(study, "build"):
         with follow(progress or False, "build") as move:
             facts, stimuli = sets.build_set(
@@ -69,16 +64,13 @@ def build_study(
     return facts, stimuli
 
 
-def _protect_used_set(study: StudyFolder, recipe: Recipe, sources: Sequence[Unread]) -> None:
+def _protect_used_set(study: StudyFolder, settings: Settings, recipe: Recipe) -> None:
     """Refuse to replace a set that sessions were run with, or may have been."""
     if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
         return
-    digests: dict[str, str | None] = {}
-    for source in sources:
-        try:
-            digests[source.name] = source.read().sha256
-        except (OSError, TypeError, ValueError):  # which the build reports
-            digests[source.name] = None
+    # What cannot be read is reported by the build.
+    found = read.try_recordings(settings, study.path)
+    digests = {source.name: getattr(one, "sha256", None) for source, one in found}
     try:
         sha256 = read_stimuli(study.stimuli).sha256.encode()
         changes = find_changes(study.stimuli, recipe, digests)
@@ -122,14 +114,8 @@ def check_study(
             found = _foresee(study, settings, seen, recipe=own, rig=rig)
         except ValueError as error:
             found = Problems((str(error),))
-    problems = [
-        *unread,
-        *_check_texts(study, settings),
-        *rigged.problems,
-        *problems,
-        *unusable,
-        *found.problems,
-    ]
+    texts = _check_texts(study, settings)
+    problems = [*unread, *texts, *rigged.problems, *problems, *unusable, *found.problems]
     if study.stimuli.exists():
         problems += _check_set(study, settings, facts, recipe=recipe)
     elif study.participants:
@@ -149,10 +135,9 @@ def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
     """Check the form of the lab's own reducers and metrics, as far as that is quick."""
     from feel321.stimuli.conform import check_method
 
-    methods = list_methods(settings, study.path)
     return [
         f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
-        for one in methods
+        for one in read.list_methods(settings, study.path)
         for found in check_method(one, quick=True)
         if not found.passed
     ]
@@ -161,48 +146,26 @@ def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
 def _examine(
     study: StudyFolder, settings: Settings, recipe: Recipe | None, *, progress: Progress | None
 ) -> tuple[list[Seen], list[str]]:
-    """Read each recording once, try out what a build does to it, and measure its stimuli; keep no samples.
-
-    Returns what was found of each, and why some cannot be used.
-    """
-    history, sources = sets.read_history(study.stimuli), read.list_unread(settings, study.path)
+    """Read each recording once, and measure its stimuli as a build does; keep no samples."""
+    history, count = sets.read_history(study.stimuli), len(settings.recordings)
     seen: list[Seen] = []
     faults: list[str] = []
-    for done, source in enumerate(sources, start=1):
-        try:
-            recording = source.read()
-        except (OSError, TypeError, ValueError) as error:
-            seen.append((
-                sets.Facts(source.name, fault=f"recording {source.name!r}: {error}"),
-                None,
-            ))
+    for done, (source, recording) in enumerate(read.try_recordings(settings, study.path), start=1):
+        if isinstance(recording, str):
+            seen.append((sets.Facts(source.name, fault=recording), None))
             continue
         own, covariance = sets.Facts.find(recording), None
-        try:
-            if recipe is not None:
-                covariance = _try_recording(recording, recipe)
-                known = history.get(source.name, ())
-                found = sets.survey_recording(recording, known, recipe=recipe)
-                own = own if found.fault else found
-                faults += [found.fault] if found.fault else []
-        except ValueError as error:
-            faults.append(str(error))
+        if recipe is not None:
+            known = history.get(source.name, ())
+            found = sets.survey_recording(recording, known, recipe=recipe)
+            faults += [found.fault] if found.fault else []
+            if not found.fault:
+                felt = condition(recording, recipe.conditioning).acceleration
+                own, covariance = found, np.asarray(np.einsum("in,jn->ij", felt, felt))
         seen.append((own, covariance))
         if progress:
-            progress(done, len(sources))
+            progress(done, count)
     return seen, faults
-
-
-def _try_recording(recording: Recording, recipe: Recipe) -> NDArray[np.float64]:
-    """Try out what a build does to a recording, but for what takes long; returns the covariance of its axes."""
-    try:
-        ready = condition(recording, recipe.conditioning)
-        fade(ready.acceleration, ready.rate_hz, fade_s=recipe.fade_s)
-        if recipe.anchors:
-            weigh_bands(ready)
-    except ValueError as error:
-        raise ValueError(f"recording {recording.name!r}: {error}") from None
-    return np.asarray(np.einsum("in,jn->ij", ready.acceleration, ready.acceleration))
 
 
 def _foresee(
@@ -221,11 +184,8 @@ def _foresee(
     crop_s = settings.stimuli.conditioning.crop_s
     facts = [one for one, _ in seen if not one.fault]
     durations = {one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in facts}
-    try:
+    with suppress(ValueError):  # what keeps trials from being made is found by itself
         length = measure_design(design, items, durations=durations, groups=groups)
-    except ValueError:
-        pass  # what keeps trials from being made is found by itself
-    else:
         note = f"{SETTINGS_FILE}: {length.describe()}"
         found += Problems(notes=(note,), figures={"session": asdict(length)})
     if rig is None:
@@ -268,25 +228,27 @@ def _check_set(
                 problems[str(error)] = None
         yield from problems
         yield from _check_metrics(study, settings)
-    if recipe is None:
-        return
-    sources = {recording.name: recording.sha256 for recording in recordings}
-    named = {entry.title: sources.get(entry.title) for entry in settings.recordings}
-    try:
-        changes = find_changes(study.stimuli, recipe, named)
-    except ValueError as error:
-        yield str(error)
-    else:
-        yield from (f"{change}; run feel321 build" for change in changes)
+    if recipe is not None:
+        sources = {recording.name: recording.sha256 for recording in recordings}
+        named = {entry.title: sources.get(entry.title) for entry in settings.recordings}
+        try:
+            changes = find_changes(study.stimuli, recipe, named)
+        except ValueError as error:
+            yield str(error)
+        else:
+            yield from (f"{change}; run feel321 build" for change in changes)
 
 
 def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that the metrics that the analysis declares are numeric columns of the manifest, or computed by it."""
     from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
 
+    seen: dict[str, None] = {}
     with intake.open_text(study.manifest) as file:
-        rows = list(csv.DictReader(file))
-    seen = {name: None for row in rows for name, cell in row.items() if _is_number(cell)}
+        for name, cell in (pair for row in csv.DictReader(file) for pair in row.items()):
+            with suppress(ValueError):
+                float(cell)
+                seen[name] = None
     for name in settings.analysis.metrics:
         if name not in seen and name not in ROTATIONS:
             yield (
@@ -295,24 +257,14 @@ def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
             )
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
 def _check_texts(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that pictures are there, and that all texts fit on the screen."""
     from feel321.study.screen.input import make_screen_texts
     from feel321.study.screen.layout import find_overflows
 
     for entry in settings.recordings:
-        if entry.picture and not (study.path / entry.picture).is_file():
-            place = study.path / entry.picture
+        if entry.picture and not (place := study.path / entry.picture).is_file():
             yield f"recording {entry.title!r}: {place}: no such picture; put it there"
-    language = read.find_language(settings, study.path)
     try:
         texts = read.read_study_texts(settings, study.path)
         questions = read.make_design(settings, study.path).questions
@@ -324,10 +276,9 @@ def _check_texts(study: StudyFolder, settings: Settings) -> Iterator[str]:
         yield from str(error).splitlines()
         return
     together = {name for table in settings.tasks.values() for name in table.scales}
-    for problem in find_overflows(
-        make_screen_texts(texts), make_scales(texts).values(), questions, together=together
-    ):
-        yield f"texts in {language}: {problem}"
+    scales = make_scales(texts).values()
+    for problem in find_overflows(make_screen_texts(texts), scales, questions, together=together):
+        yield f"texts in {read.find_language(settings, study.path)}: {problem}"
 
 
 def _check_rig(
@@ -339,26 +290,23 @@ def _check_rig(
 
     if not study.rig.is_file():
         return None, Problems()
-    name, own = study.rig.name, settings.rig
+    name, own, place = study.rig.name, settings.rig, ""
     try:
         rig = read_rig(study.rig)
-    except ValueError as error:
-        return None, Problems(tuple(str(error).splitlines()))
-    try:
+        place = f"{name}: "
         find_mix(rig)
     except ValueError as error:
-        return None, Problems((f"{name}: {error}",))
+        return None, Problems(tuple(f"{place}{line}" for line in str(error).splitlines()))
     certificate, faults = judge_certificates(study.path, rig, now=now(), rate_hz=own.rate_hz)
-    lines = tuple(f"{name}: {fault}" for fault in faults)
+    lines, found = tuple(f"{name}: {fault}" for fault in faults), Problems()
     if certificate is not None:
         until = f"valid until {certificate.expires_utc[:10]}"
         note = f"{name}: certificate {certificate.id} ({certificate.method}), {until}"
         found = Problems(notes=(note,))
     elif own.certificate == "require":
         found = Problems(problems=lines)
-    else:  # a rig of files needs none
-        needs_one = rig.device.name != FILE_DEVICE or list_certificates(study.path)
-        found = Problems(warnings=lines if needs_one else ())
+    elif rig.device.name != FILE_DEVICE or list_certificates(study.path):  # files need none
+        found = Problems(warnings=lines)
     try:
         stimuli = read_stimuli(study.stimuli)
     except (OSError, ValueError):
@@ -367,10 +315,6 @@ def _check_rig(
         study, rig, settings=settings, stimuli=stimuli, certificate=certificate
     )
     return rig, found + Problems(tuple(problems))
-
-
-LEAST_WINDOW = 16
-"""Samples: the main lobe is 3 bins wide, so offset and Nyquist frequency reach 4 of 9 bins; of fewer, half or more."""
 
 
 def find_warnings(
@@ -383,21 +327,12 @@ def find_warnings(
         for name in unused
     ]
     remarks += sets.find_copies(recordings)
-    named = [name for name in settings.stimuli.reducers if name in REDUCERS]
-    windowed = [name for name in named if "window_s" in signature(REDUCERS[name]).parameters]
-    for one in recordings:
-        where = f"recording {one.name!r}, at {one.rate_hz:g} Hz"
-        if (high_hz := one.rate_hz / 2) < HIGHEST_HZ:
-            remarks.append(
-                f"{where}: holds nothing above {high_hz:g} Hz, so its matches compare less than 20 to "
-                f"{HIGHEST_HZ:g} Hz; use a recording of {2 * HIGHEST_HZ:g} Hz or more, or report the band"
-            )
-        samples = window_samples(DEFAULT_WINDOW_S, one.rate_hz)
-        if windowed and samples < LEAST_WINDOW:
-            remarks.append(
-                f"{where}: a window of {1e3 * DEFAULT_WINDOW_S:g} ms has {samples} samples, {LEAST_WINDOW} are the "
-                f"least that resolve a spectrum; leave out {', '.join(windowed)}, or record faster"
-            )
+    remarks += [
+        f"recording {one.name!r}, at {one.rate_hz:g} Hz: holds nothing above {one.rate_hz / 2:g} Hz, so its matches "
+        f"compare less than 20 to {HIGHEST_HZ:g} Hz; record at {2 * HIGHEST_HZ:g} Hz or more, or report the band"
+        for one in recordings
+        if one.rate_hz / 2 < HIGHEST_HZ
+    ]
     language = read.find_language(settings, study.path)
     if isinstance(language, Path) and (borrowed := list_borrowed(language)):
         lacking = f"has no {', '.join(borrowed)}; the catalogue's is shown there"

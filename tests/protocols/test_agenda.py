@@ -67,25 +67,14 @@ def pass_by(agenda: Agenda, time_s: float = 0.0) -> None:
     ("trials", "steps"),
     [
         ([make_trial(n) for n in (1, 2, 3)], ["instructions.realism", "main", 1, 2, "rest", 3]),
-        (
-            [
-                make_trial(1),
-                make_trial(2, protocol="similarity"),
-                make_trial(3, phase="training"),
-                make_trial(4, phase="practice"),
-                make_trial(5, protocol="similarity", phase="practice"),
-            ],
-            [
-                *("instructions.realism", "training", 3, "practice", 4, "main", 1, "rest"),
-                *("instructions.similarity", "practice", 5, "main", 2),
-            ],
-        ),
-        (
-            [make_trial(n, protocol="similarity" if n > 2 else "realism") for n in (1, 2, 3, 4)],
-            ["instructions.realism", "main", 1, 2, "rest", "instructions.similarity", "main", 3, 4],
-        ),
+        ([make_trial(1), make_trial(2, protocol="similarity"), make_trial(3, phase="training"),
+          make_trial(4, phase="practice"), make_trial(5, protocol="similarity", phase="practice")],
+         ["instructions.realism", "training", 3, "practice", 4, "main", 1, "rest",
+          "instructions.similarity", "practice", 5, "main", 2]),
+        ([make_trial(n, protocol="similarity" if n > 2 else "realism") for n in (1, 2, 3, 4)],
+         ["instructions.realism", "main", 1, 2, "rest", "instructions.similarity", "main", 3, 4]),
     ],
-)
+)  # fmt: skip
 def test_tasks_are_introduced_rehearsed_and_have_one_rest_between_or_half_way(
     trials: list[Trial], steps: list[str | int]
 ) -> None:
@@ -130,17 +119,12 @@ def test_who_guesses_does_not_pass_training(
     protocol: str, expected: tuple[float, float], n: int, needed: int, share: float
 ) -> None:
     known = (Judgement("test", "s", expected=expected),)
-    training = [
-        replace(make_trial(k, protocol=protocol, phase="training"), judgements=known)
-        for k in range(2, n + 2)
-    ]
-    trials = [make_trial(1, protocol=protocol), *training]
+    training = [make_trial(k, protocol=protocol, phase="training") for k in range(2, n + 2)]
+    trials = [replace(one, judgements=known) for one in training]
+    trials.append(make_trial(1, protocol=protocol))
     for right in range(n + 1):
         agenda = Agenda(trials, replace(CALM, training_rounds=1, training_pass=share))
-        steps = walk(
-            agenda,
-            lambda t, _: (True, t.number < right + 2 if t.phase == "training" else None),  # noqa: B023 - called at once
-        )
+        steps = walk(agenda, lambda t, _: (True, t.number < right + 2))  # noqa: B023 - called at once
         assert ("training_passed" in steps) == (right >= needed or share == 0)
 
 
@@ -196,10 +180,8 @@ def test_a_device_that_fails_spends_no_attempt() -> None:
 
 def test_warming_up_repeats_the_practice_of_the_task_at_hand() -> None:
     trials = [make_trial(n, protocol="similarity" if n > 1 else "realism") for n in (1, 2, 3)]
-    trials += [
-        make_trial(4, phase="practice"),
-        make_trial(5, protocol="similarity", phase="practice"),
-    ]
+    trials.append(make_trial(4, phase="practice"))
+    trials.append(make_trial(5, protocol="similarity", phase="practice"))
     agenda = Agenda(trials, CALM)
     agenda.warm_up()
     assert agenda.ask() == Page("welcome")  # nobody warms up before practice
@@ -225,13 +207,12 @@ def test_a_step_that_was_not_next_is_refused() -> None:
 def test_whatever_goes_wrong_everything_is_tried_until_it_is_good_or_given_up(
     data: st.DataObject,
 ) -> None:
-    blocks = data.draw(st.lists(st.integers(1, 4), min_size=1, max_size=4))
-    names = [data.draw(st.sampled_from(["realism", "similarity"])) for _ in blocks]
+    block = st.tuples(st.sampled_from(["realism", "similarity"]), st.integers(1, 4))
+    blocks = sorted(data.draw(st.lists(block, min_size=1, max_size=4)), key=lambda one: one[0])
     trials: list[Trial] = []
-    for block, (size, name) in enumerate(
-        sorted(zip(blocks, names, strict=True), key=lambda b: b[1]), start=1
-    ):
-        trials += [make_trial(len(trials) + 1 + n, protocol=name, block=block) for n in range(size)]
+    for number, (name, size) in enumerate(blocks, start=1):
+        first = len(trials) + 1
+        trials += [make_trial(first + n, protocol=name, block=number) for n in range(size)]
     attempts = {trial.number: data.draw(st.integers(1, 4)) for trial in trials}
     agenda = Agenda(trials, replace(CALM, break_trials=data.draw(st.integers(1, 5))))
     steps = walk(agenda, lambda trial, attempt: (attempt >= attempts[trial.number], None))

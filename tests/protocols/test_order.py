@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from collections import Counter, defaultdict
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -10,8 +11,23 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from feel321.protocols.order import ORDERS, find_crowding, make_order, shuffle_rows
-from feel321.protocols.tasks import PROTOCOLS, count_rows, find_other, make_task, williams_row
+from feel321.protocols.order import (
+    ORDERS,
+    find_crowding,
+    make_order,
+    make_rehearsal,
+    measure_balance,
+    select_share,
+    shuffle_rows,
+)  # fmt: skip
+from feel321.protocols.tasks import (
+    PROTOCOLS,
+    count_rows,
+    find_other,
+    is_as_expected,
+    make_task,
+    williams_row,
+)
 from feel321.protocols.trial import Item
 
 if TYPE_CHECKING:
@@ -20,8 +36,13 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
 
+ROLES = {"original": "reference", "low": "anchor", "mid": "anchor"}
+ITEMS = [
+    Item(f"{recording}-{name}", recording, name, "as_is", ROLES.get(name, "test"))
+    for recording in ("bumps", "drag", "taps")
+    for name in ("sax321", "soc321", "dft321", "original", "low", "mid")
+]
 REALISM = ("realism",)
-BOTH = ("realism", "similarity")
 
 numbers, seeds, repeat_counts = st.integers(1, 60), st.integers(0, 2**32), st.integers(1, 3)
 orders = st.sampled_from(list(ORDERS))
@@ -57,23 +78,13 @@ def name_comparison(trial: Trial) -> tuple[str, str, tuple[str, ...]]:
     return trial.protocol, trial.recording, tuple(sorted(about))
 
 
-def get_stimulus(trial: Trial) -> str:
-    (judgement,) = trial.judgements
-    return judgement.stimulus_id
-
-
 def list_blocks(trials: Iterable[Trial]) -> dict[tuple[str, int, str], list[str]]:
     """Order of the reducers, per protocol, repeat and recording."""
     blocks: dict[tuple[str, int, str], list[str]] = defaultdict(list)
     for t in trials:
-        blocks[t.protocol, t.repeat, t.recording].append(
-            get_stimulus(t).removeprefix(f"{t.recording}-")
-        )
+        name = t.judgements[0].stimulus_id.removeprefix(f"{t.recording}-")
+        blocks[t.protocol, t.repeat, t.recording].append(name)
     return blocks
-
-
-def count_neighbours(rows: Iterable[Sequence[str]]) -> Counter[tuple[str, str]]:
-    return Counter(pair for row in rows for pair in pairwise(row))
 
 
 @given(orders, numbers, repeat_counts, st.integers(1, 4), st.integers(3, 5), seeds)
@@ -104,38 +115,21 @@ def test_no_recording_follows_itself_across_blocks_and_rounds(
     assert all(a.recording != b.recording for a, b in pairwise(trials) if a.block != b.block)
 
 
-@pytest.mark.parametrize("repeat", [1, 2, 3])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round(
-    items: list[Item], repeat: int, seed: int
-) -> None:
-    sessions = [list_blocks(order(items, number, 3, seed=seed)) for number in range(1, 7)]
-    for recording in ("bumps", "drag", "taps"):
-        rows = [blocks["realism", repeat, recording] for blocks in sessions]
-        neighbours = count_neighbours(rows)
-        assert set(neighbours.values()) == {1}
-        assert len(neighbours) == 6 * 5
-        assert all(len({row[place] for row in rows}) == 6 for place in range(6))
+def test_a_full_cycle_balances_place_and_carry_over_in_every_recording_and_round(seed: int) -> None:
+    sessions = [list_blocks(order(ITEMS, number, 3, seed=seed)) for number in range(1, 7)]
+    for block in sessions[0]:
+        assert measure_balance([[own[block] for own in sessions]]) == ((1, 1), (1, 1))
 
 
-@pytest.mark.parametrize("repeat", [1, 2, 3])
-@pytest.mark.parametrize("n_recordings", [2, 3, 4, 5, 8])
-def test_a_full_cycle_balances_the_recordings_in_every_round(
-    n_recordings: int, repeat: int
-) -> None:
-    cycle = count_rows(n_recordings)
-    sessions = [
-        order(list_items(n_recordings, 2), number, 3, seed=n_recordings)
-        for number in range(1, cycle + 1)
-    ]
-    rows = [
-        list(dict.fromkeys(t.recording for t in trials if t.repeat == repeat))
-        for trials in sessions
-    ]
-    neighbours = count_neighbours(rows)
-    assert len(neighbours) == n_recordings * (n_recordings - 1)
-    assert len(set(neighbours.values())) == 1
-    assert all(len({row[place] for row in rows}) == n_recordings for place in range(n_recordings))
+@pytest.mark.parametrize("n", [2, 3, 4, 5, 8])
+def test_a_full_cycle_balances_the_recordings_in_every_round(n: int) -> None:
+    items, cycle = list_items(n, 2), count_rows(n)
+    sessions = [order(items, number, 3, seed=n) for number in range(1, cycle + 1)]
+    each = (cycle // n, cycle // n)
+    for repeat in (1, 2, 3):
+        rows = [dict.fromkeys(t.recording for t in own if t.repeat == repeat) for own in sessions]
+        assert measure_balance([[list(row) for row in rows]]) == (each, each)
 
 
 @pytest.mark.parametrize("n_participants", range(1, 13))
@@ -143,15 +137,10 @@ def test_places_of_reducers_pooled_over_recordings_are_near_balance_after_any_nu
     n_participants: int,
 ) -> None:
     items = list_items(8, 12)
-    rows = [
-        row
-        for number in range(1, n_participants + 1)
-        for row in list_blocks(order(items, number)).values()
-    ]
-    places = Counter((name, place) for row in rows for place, name in enumerate(row))
-    counts = [places[str(s), place] for s in range(12) for place in range(12)]
+    sessions = [list_blocks(order(items, number)) for number in range(1, n_participants + 1)]
+    (fewest, most), _ = measure_balance([[row for own in sessions for row in own.values()]])
     # Rows that moved on by one per participant would give a range of up to 5.
-    assert max(counts) - min(counts) <= 2
+    assert most - fewest <= 2
 
 
 @given(st.integers(0, 40), st.integers(2, 7))
@@ -176,46 +165,23 @@ def test_every_stimulus_stands_in_every_slot_of_a_page_equally_often(start: int,
         ({"order": "latin"}, "order must be one of williams, blocked, random; got 'latin'"),
     ],
 )
-def test_orders_of_nothing_are_refused(
-    items: list[Item], changes: dict[str, Any], message: str
-) -> None:
+def test_orders_of_nothing_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        order(items, **changes)
+        order(ITEMS, **changes)
     with pytest.raises(ValueError, match="items must be at least one"):
         order([])
-
-
-TASKS = ("realism", "similarity", "dissimilarity", "abx")
+    with pytest.raises(ValueError, match="n must be a number of conditions from 1, got 0"):
+        count_rows(0)
 
 
 # Williams squares.
 
 
-def make_square(n: int) -> list[tuple[int, ...]]:
-    return [williams_row(n, number) for number in range(count_rows(n))]
-
-
 @pytest.mark.parametrize("n", [5, 6])
 def test_square_is_the_reference_table(n: int, shared_recordings: Path) -> None:
     oracle = shared_recordings.parent / "oracles" / "williams_design" / "expected.json"
-    assert [list(row) for row in make_square(n)] == json.loads(oracle.read_text())[f"example_n{n}"]
-
-
-@pytest.mark.parametrize("n", range(2, 13))
-def test_every_place_and_every_ordered_pair_comes_once_for_even_and_twice_for_odd_n(n: int) -> None:
-    square, times = make_square(n), 1 + n % 2
-    assert len(square) == times * n
-    places = Counter((place, condition) for row in square for place, condition in enumerate(row))
-    assert set(places.values()) == {times}
-    assert len(places) == n * n
-    neighbours = Counter(pair for row in square for pair in pairwise(row))
-    assert set(neighbours.values()) == {times}
-    assert len(neighbours) == n * (n - 1)
-
-
-def test_square_of_nothing_is_refused() -> None:
-    with pytest.raises(ValueError, match="n must be a number of conditions from 1, got 0"):
-        count_rows(0)
+    square = [list(williams_row(n, number)) for number in range(count_rows(n))]
+    assert square == json.loads(oracle.read_text())[f"example_n{n}"]
 
 
 @given(st.integers(1, 24), st.integers(0, 2**32))
@@ -271,7 +237,7 @@ def test_recordings_and_references_never_come_twice_in_a_row(
     trials = mix(items, number=number, repeats=repeats, seed=seed)
     assert all(a.recording != b.recording for a, b in pairwise(trials))
     assert not any(a.catch and b.catch for a, b in pairwise(trials))
-    assert find_crowding(trials) == []
+    assert list(find_crowding(trials)) == []
 
 
 @given(st.integers(2, 8), st.integers(3, 6), st.integers(1, 3), st.integers(0, 999))
@@ -319,4 +285,147 @@ def test_rules_that_cannot_be_kept_are_broken_as_rarely_as_possible_and_it_is_sa
     stimuli: list[tuple[int, int]], expected: list[str]
 ) -> None:
     for seed in range(20):
-        assert find_crowding(mix(list_mixed(stimuli), seed=seed)) == expected
+        assert list(find_crowding(mix(list_mixed(stimuli), seed=seed))) == expected
+
+
+# Balance, and shares of the recordings.
+
+letters = st.lists(st.text("ABCDE", max_size=8), min_size=1, max_size=6)
+
+
+@pytest.mark.parametrize("n", range(2, 13))
+def test_a_square_is_in_perfect_balance_and_no_longer_without_a_row(n: int) -> None:
+    square = [[str(i) for i in row] for row in (williams_row(n, k) for k in range(count_rows(n)))]
+    each = 1 + n % 2
+    assert measure_balance([square]) == ((each, each), (each, each))
+    assert measure_balance([square[1:]]) == ((each - 1, each), (each - 1, each))
+
+
+def count_every_cell(groups: list[list[str]]) -> tuple[dict[tuple[str, int], int], ...]:
+    """Count by going through every cell of every group, as long as there are few."""
+    positions: dict[tuple[str, int], int] = {}
+    carry_over: dict[tuple[str, str], int] = {}
+    for rows in groups:
+        names = sorted(set("".join(rows)))
+        for name in names:
+            for place in range(max(map(len, rows))):
+                found = sum(row[place : place + 1] == name for row in rows)
+                positions[name, place] = positions.get((name, place), 0) + found
+            for other in set(names) - {name}:
+                found = sum((name, other) == pair for row in rows for pair in pairwise(row))
+                carry_over[name, other] = carry_over.get((name, other), 0) + found
+    return positions, carry_over
+
+
+@given(st.lists(letters.filter(any), min_size=1, max_size=3))
+def test_ends_are_those_of_every_cell_also_of_groups_that_overlap(groups: list[list[str]]) -> None:
+    found = measure_balance(groups)
+    for ends, cells in zip(found, count_every_cell(groups), strict=True):
+        assert ends == (min(cells.values(), default=0), max(cells.values(), default=0))
+
+
+def test_memory_grows_with_the_conditions_not_with_their_pairs() -> None:
+    peaks = []
+    for n in (200, 200, 800):  # the first time, for what is made once
+        names = [f"stimulus {number}" for number in range(n)]
+        tracemalloc.start()
+        measure_balance([[names]])
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[2] < 6 * peaks[1]
+
+
+@given(st.integers(1, 12), st.integers(1, 12), st.integers(0, 99))
+def test_shares_hold_every_recording_equally_often(n: int, count: int, seed: int) -> None:
+    items = [Item(f"{r}-{s}", str(r), str(s), "as_is", "test") for r in range(n) for s in range(2)]
+    felt = Counter(dict.fromkeys(map(str, range(n)), 0))
+    for number in range(1, 8):
+        share = select_share(items, count, number=number, seed=seed)
+        own = {item.recording for item in share}
+        assert (len(own), len(share)) == (min(count, n), 2 * min(count, n))
+        felt.update(own)
+        assert max(felt.values()) - min(felt.values()) <= 1
+    assert select_share(items, None, number=1, seed=seed) == tuple(items)
+
+
+# Training and practice.
+
+
+def rehearse(
+    *names: str, seed: int = 1, items: list[Item] = ITEMS, **counts: Any
+) -> tuple[Trial, ...]:
+    tasks = [make_task(name, **counts) for name in names]
+    return make_rehearsal(items, tasks, first_number=50, rng=np.random.default_rng(seed))
+
+
+@given(st.integers(0, 30), st.integers(0, 30), st.integers(0, 999))
+def test_each_task_has_its_training_then_its_practice_and_never_more_than_there_is(
+    training: int, practice: int, seed: int
+) -> None:
+    trials = rehearse(*PROTOCOLS, training=training, practice=practice, seed=seed)
+    n_comparisons = dict(zip(PROTOCOLS, (18, 18, 21, 3, 15, 15, 24), strict=True))
+    asked = {"training": training, "practice": practice}
+    expected = {
+        (name, phase): min(n, asked[phase]) for name, n in n_comparisons.items() for phase in asked
+    }
+    # Anchors are felt in training only.
+    expected["dissimilarity", "training"] = min(21 + 6, training)
+    for name in ("abx", "triplet", "preference"):  # half of the guesses are right
+        expected[name, "training"] = min(n_comparisons[name], 2 * training)
+    assert Counter((t.protocol, t.phase) for t in trials) == Counter(expected)
+    assert list(dict.fromkeys((t.protocol, t.phase) for t in trials)) == [
+        key for key, n in expected.items() if n
+    ]
+    assert [t.number for t in trials] == list(range(50, 50 + len(trials)))
+    assert {(t.block, t.repeat) for t in trials} <= {(0, 0)}
+
+
+@given(st.integers(1, 18), st.integers(0, 999))
+def test_trials_with_a_known_answer_come_first_and_no_answer_is_right_for_most(
+    training: int, seed: int
+) -> None:
+    rehearsed = rehearse("similarity", training=training, seed=seed)
+    expected = [trial.judgements[0].expected for trial in rehearsed]
+    sides = ["" if one is None else "high" if sum(one) > 100 else "low" for one in expected]
+    n_known = sum(map(bool, sides))
+    assert all(sides[:n_known])
+    assert n_known >= min(training, 7)
+    assert max(sides.count("high"), sides.count("low")) <= (training + 1) // 2
+
+
+@given(st.integers(0, 999))
+def test_anchors_are_what_differs_from_the_original_in_the_training_of_dissimilarity(
+    seed: int,
+) -> None:
+    trials = rehearse("dissimilarity", training=4, practice=21, seed=seed)
+    training = [t for t in trials if t.phase == "training"]
+    assert Counter((t.catch, t.judgements[0].expected) for t in training) == {
+        ("identical", (0, 25)): 2,
+        ("anchor", (50, 100)): 2,
+    }
+    practised = {part.stimulus_id for t in trials if t.phase == "practice" for part in t.parts}
+    assert not {item.stimulus_id for item in ITEMS if item.role == "anchor"} & practised
+
+
+@given(st.integers(1, 8), st.booleans(), st.integers(0, 999))
+def test_every_choice_in_training_is_right_or_wrong_and_the_plainest_come_first(
+    training: int, with_anchors: bool, seed: int
+) -> None:
+    items = ITEMS if with_anchors else [item for item in ITEMS if item.role != "anchor"]
+    trials = rehearse("abx", training=training, practice=2, seed=seed, items=items)
+    assert {t.judgements[0].expected for t in trials if t.phase == "training"} == {(100, 100)}
+    plain = [t.catch == "anchor" for t in trials if t.phase == "training"]
+    assert plain == sorted(plain, reverse=True)
+    assert sum(plain) == (min(2 * training, 6) if with_anchors else 0)
+    assert {t.judgements[0].expected for t in trials if t.phase == "practice"} <= {None, (100, 100)}
+
+
+@pytest.mark.parametrize("name", ["realism", "similarity", "dissimilarity", "mushra"])
+@given(training=st.integers(2, 12), points=st.floats(0, 100), seed=st.integers(0, 999))
+def test_nobody_passes_training_who_always_answers_the_same(
+    name: str, training: int, points: float, seed: int
+) -> None:
+    rounds = [t for t in rehearse(name, training=training, seed=seed) if t.phase == "training"]
+    met = [is_as_expected(t, {j.part: points for j in t.judgements}) for t in rounds]
+    right = [understood for understood in met if understood is not None]
+    assert sum(right) < 0.75 * len(right)

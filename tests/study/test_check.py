@@ -1,19 +1,13 @@
 """What `check` finds besides the settings' own mistakes; origins of sets are tested with the provenance."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import pytest
 
 from feel321.protocols.texts import CATALOG, read_texts
 from feel321.stimuli.sets.build import Facts
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study, find_warnings
-
-if TYPE_CHECKING:
-    from feel321.study.folder import StudyFolder
 
 
 @pytest.fixture
@@ -36,16 +30,10 @@ def test_pictures_and_texts_that_are_missing_are_named(study: StudyFolder, ask: 
 @pytest.mark.parametrize(
     ("consent", "words"),
     [
-        (
-            "Read this. " * 300,
-            "page 'consent': it must fit on one screen, got 2.5 screens; shorten it",
-        ),
-        (
-            "w" * 120,
-            f"page 'consent': got '{'w' * 60}...', which is too long for its place; shorten it",
-        ),
+        ("Read this. " * 300, "page 'consent': it must fit on one screen, got 2.5 screens; shorten it"),
+        ("w" * 120, f"page 'consent': got '{'w' * 60}...', which is too long for its place; shorten it"),
     ],
-)
+)  # fmt: skip
 def test_texts_that_no_screen_has_room_for_are_named(
     study: StudyFolder, consent: str, words: str
 ) -> None:
@@ -124,15 +112,12 @@ def test_the_texts_are_written_to_be_edited(
     assert capsys.readouterr().err == "feel321: --texts must be one of de, en; got 'fr'\n"
 
 
-@pytest.mark.parametrize(("rate_hz", "count"), [(2000.0, 0), (1800.0, 1), (100.0, 2)])
-def test_a_slow_recording_is_named_with_its_band_and_its_windows(
+@pytest.mark.parametrize(("rate_hz", "count"), [(2000.0, 0), (1800.0, 1)])
+def test_a_slow_recording_is_named_with_its_band(
     study: StudyFolder, rate_hz: float, count: int
 ) -> None:
-    text = study.settings.read_text(encoding="utf-8").replace("sax321", "dft321_windowed")
-    study.settings.write_text(text, encoding="utf-8")
     facts = [Facts("slow", "", rate_hz, 1.0, ())]
     found = find_warnings(study, read_settings(study.settings), facts)
     slow = [line for line in found if line.startswith("recording 'slow'")]
     assert len(slow) == count
-    assert all(f"{rate_hz / 2:g} Hz" in line for line in slow[:1])
-    assert all("4 samples" in line for line in slow[1:])
+    assert all(f"{rate_hz / 2:g} Hz" in line for line in slow)

@@ -1,34 +1,23 @@
 """The command line in one process: its help, how it refuses, and what the verbs of a study print."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import pytest
+from cyclopts import Argument
 from cyclopts.annotations import resolve_optional
 
 from feel321.analysis.report.write import SECTIONS
 from feel321.study import cli
 from feel321.study.actuator import doctor
 from feel321.study.cli import APP, VERBS, main
-from feel321.study.folder import create_study, read_template
+from feel321.study.folder import StudyFolder, create_study, read_template
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from cyclopts import Argument
-
-    from feel321.study.folder import StudyFolder
-
-    Capture = pytest.CaptureFixture[str]
-
-
-# Help.
+Capture = pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize("verb", VERBS)
@@ -81,9 +70,6 @@ def test_a_shell_completes_verbs_and_choices() -> None:
         assert word in script
 
 
-# Wrong use.
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -108,8 +94,8 @@ def test_a_shell_completes_verbs_and_choices() -> None:
         ("analyze --ratings r.csv", "add --manifest FILE, or name the study first"),
         ("power --participants 8,x", "must be whole numbers from 1 to 100000 with commas"),
         ("power --participants 0", "must be whole numbers from 1 to 100000 with commas"),
-        ("power --effect a", "--effect must be METRIC=POINTS, such as temporal_match=1.5; got 'a'"),
-        ("power --effect a=1 --effect a=2", "--effect: got 'a' twice; give it once"),
+        ("match a.csv b.wav --unit kg", 'Choose from: "m/s^2", "g", "mg"'),
+        ("run --participant ../x", "--participant must be letters (A-Z), digits, - and _, got"),
         ("run --participant p1 --seed 1", "--seed needs --simulate-participant"),
         ("note --participant p1", "takes a study and one text in quotes, got 0 words"),
         ("note a b c --participant p1", "takes a study and one text in quotes, got 3 words"),
@@ -159,9 +145,6 @@ def test_every_number_of_an_option_has_both_bounds(
             continue
         assert main([verb, f"{option.name}={text}"]) == 2
         assert max(map(len, capsys.readouterr().err.splitlines())) < 1100
-
-
-# Studies.
 
 
 @pytest.mark.parametrize("verb", ["check", "build", "simulate", "status", "audit", "analyze"])
@@ -257,9 +240,9 @@ def test_new_begins_a_study_once_and_the_next_command_can_be_pasted(
 
 
 def add_a_person(folder: Path) -> None:
-    create_study(folder)
-    (folder / "sessions" / "p07").mkdir(parents=True)
-    (folder / "sessions" / "p07" / "plan.json").write_text("{}", encoding="utf-8")
+    plan = create_study(folder).sessions / "p07" / "plan.json"
+    plan.parent.mkdir(parents=True)
+    plan.write_text("{}", encoding="utf-8")
 
 
 def edit_the_settings(folder: Path) -> None:
@@ -291,9 +274,6 @@ def test_demo_leaves_what_it_did_not_begin_alone(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-# Errors and ends.
-
-
 def fail_with(error: BaseException) -> Callable[..., None]:
     def fail(*_: object, **__: object) -> None:
         raise error
@@ -301,43 +281,40 @@ def fail_with(error: BaseException) -> Callable[..., None]:
     return fail
 
 
+KEPT = "; what is done is kept, the same command continues"
+
+
 @pytest.mark.parametrize(
-    ("place", "verb", "message"),
+    ("place", "verb", "kept"),
     [
-        ("status.read_status", "status", "interrupted"),
-        ("workflow.build_study", "build", "interrupted"),
-        (
-            "simulation.simulate_study",
-            "simulate",
-            "interrupted; what is done is kept, the same command continues",
-        ),
+        ("status.read_status", "status", ""),
+        ("workflow.build_study", "build", ""),
+        ("simulation.simulate_study", "simulate", KEPT),
     ],
 )
 def test_ctrl_c_is_one_line_and_exit_130(
-    place: str, verb: str, message: str, study: StudyFolder, monkeypatch: pytest.MonkeyPatch,
+    place: str, verb: str, kept: str, study: StudyFolder, monkeypatch: pytest.MonkeyPatch,
     capsys: Capture,
 ) -> None:  # fmt: skip
     monkeypatch.setattr(f"feel321.study.{place}", fail_with(KeyboardInterrupt()))
     assert main([verb, str(study.path)]) == 130
-    assert capsys.readouterr().err == f"feel321: {message}\n"
+    assert capsys.readouterr().err == f"feel321: interrupted{kept}\n"
+
+
+FULL = OSError(errno.ENOSPC, "No space left on device")
+ROOM = "No space left on device; make room there and run again"
 
 
 @pytest.mark.parametrize(
     ("error", "message"),
     [
-        (
-            KeyError("no\nway"),
-            "unexpected KeyError: 'no\\nway'; run again with feel321 --traceback",
-        ),
+        (KeyError("no\nway"), "unexpected KeyError: 'no\\nway'; run again with feel321 --traceback"),
         (RecursionError("deep\ndown"), "unexpected RecursionError: deep down; run again with"),
         (ValueError("nothing\x1b[2J there"), "nothing\\u001b[2J there"),
-        (
-            OSError(errno.ENOSPC, "No space left on device"),
-            "No space left on device; make room there and run again",
-        ),
+        (FULL, ROOM),
         (OSError(errno.EIO, "Input/output error", "a.csv"), "a.csv: Input/output error; check the"),
     ],
-)
+)  # fmt: skip
 def test_whatever_goes_wrong_is_one_line_and_exit_1(
     error: Exception, message: str, study: StudyFolder, monkeypatch: pytest.MonkeyPatch,
     capsys: Capture,
@@ -366,49 +343,25 @@ def test_a_place_that_cannot_be_is_named(
     ):
         assert main(words) in {1, 2}
         assert capsys.readouterr().err.startswith(f"feel321: {said}")
-    full = OSError(errno.ENOSPC, "No space left on device")
-    monkeypatch.setattr("feel321.files.os.fsync", fail_with(full))
+    monkeypatch.setattr("feel321.files.os.fsync", fail_with(FULL))
     assert main(["new", str(new)]) == 1
-    said = f"feel321: {new}: No space left on device; make room there and run again\n"
-    assert capsys.readouterr().err == said
+    assert capsys.readouterr().err == f"feel321: {new}: {ROOM}\n"
     assert not [*new.iterdir()]
 
 
-# The rig.
-
-
-def examine(**more: Any) -> dict[str, Any]:
-    counts = (
-        "n_failed",
-        "n_underruns",
-        "n_estimated",
-        "callback_ms_max",
-        "latency_ms",
-        "sensed_ms",
-    )
-    times = (
-        "onset_ms",
-        "onset_jitter_ms",
-        "onset_jitter_99_ms",
-        "sensed_jitter_ms",
-        "sensed_jitter_99_ms",
-    )
-    own = dict.fromkeys((*counts, *times), 0)
-    device = {
-        "device": "coil",
-        "host_api": "ALSA",
-        "is_program": False,
-        "rate_hz": 48000.0,
-        "error": "",
-    }
-    return {**device, **own, "n_pulses": 10, "n_sensed": 10, **more}
+COUNTS = (
+    "onset_ms onset_jitter_ms onset_jitter_99_ms sensed_jitter_ms sensed_jitter_99_ms n_estimated "
+    "callback_ms_max latency_ms sensed_ms"
+)
 
 
 @pytest.mark.parametrize(("failed", "underruns", "code"), [(0, 0, 0), (1, 0, 1), (0, 1, 1)])
 def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
     failed: int, underruns: int, code: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    found = examine(n_failed=failed, n_underruns=underruns)
+    found = {"device": "coil", "host_api": "ALSA", "is_program": False, "rate_hz": 48000.0}
+    found |= {"error": "", "n_failed": failed, "n_underruns": underruns}
+    found |= {**dict.fromkeys(COUNTS.split(), 0), "n_pulses": 10, "n_sensed": 10}
     monkeypatch.setattr(doctor, "survey_devices", list)
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil"]) == code

@@ -1,10 +1,9 @@
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,10 +15,6 @@ from feel321.study.folder import StudyFolder
 from feel321.study.session.plan import make_plan
 from feel321.study.settings.read import make_design, open_recordings, read_settings
 from feel321.study.workflow import build_study, check_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 CORPUS = """
 [[recordings]]

@@ -1,11 +1,6 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from feel321.study.folder import StudyFolder
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_what_drives_and_programs_leave_beside_participants_is_no_participant(

@@ -1,8 +1,7 @@
 """A lab's own keys: what rig.toml may say, what they do in every task, and what the screen calls them."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -13,9 +12,6 @@ from feel321.protocols.trial import Judgement, Part, Trial
 from feel321.study.actuator.rig import read_rig
 from feel321.study.keys import KEY_NAMES, USUAL, KeysTable, label_keys
 from feel321.study.screen.input import Answer, InputEvent, make_screen_texts
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 LIMITS = "[limits]\npeak_m_s2 = 100.0\nrms_m_s2 = 50.0\nduration_s = 30.0\n"
 

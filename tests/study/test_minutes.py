@@ -1,10 +1,10 @@
 """How long sessions take: against the clocks of simulated ones, and at a pace that was planted."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,16 +20,10 @@ from feel321.study.minutes import (
     observe_pace,
 )
 from feel321.study.session.journal import utc_now
-from feel321.study.session.plan import read_dossier
+from feel321.study.session.plan import Plan, read_dossier
 from feel321.study.simulation import simulate_study
 from feel321.study.status import read_status
 from feel321.study.workflow import build_study, check_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.study.session.plan import Plan
 
 TOLERANCE, TOGETHER = 0.1, 0.05
 """Share by which sessions of simulated participants may differ, one and all together: they draw their response times

@@ -1,12 +1,11 @@
 """The experimenter's notes: in the journal, and of no effect on anything but what they say."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -15,6 +14,7 @@ from feel321.study import lab
 from feel321.study.auditing.study import audit_study
 from feel321.study.checkpoints import take_marks
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.lab import run_participant
 from feel321.study.people import write_roster
 from feel321.study.persons.withdrawal import release_participant, take_note, withdraw_participant
@@ -24,12 +24,7 @@ from feel321.study.session.ports import Abort
 from feel321.study.sessions import read_room
 from feel321.study.status import read_status
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from feel321.study.folder import StudyFolder
-
-    Run = Callable[..., Any]
+Run = Callable[..., Any]
 
 START = datetime(2026, 5, 4, 9, tzinfo=UTC)
 

@@ -1,14 +1,17 @@
-"""A study with methods of the lab's own, from `new --with methods` through every step; changes are named."""
+"""A lab's own reducers, metrics and protocols take part in every step; a change of them, or a fault, is named."""
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from feel321.protocols.tasks import PROTOCOLS
 from feel321.stimuli.sets.manifest import find_methods
-from feel321.study.analyze import read_study_table
+from feel321.study.analyze import list_info, read_study_table
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
+from feel321.study.settings.read import read_settings, read_study_texts
 from feel321.study.study import Study
 
 SMALL = {
@@ -35,6 +38,12 @@ def folder(tmp_path: Path) -> Path:
     return path
 
 
+def read_header(folder: Path) -> dict[str, Any]:
+    """The header of the first journal of the first participant."""
+    text = next(folder.glob("sessions/sim001/*.jsonl")).read_text(encoding="utf-8")
+    return dict(json.loads(text.splitlines()[0])["data"])
+
+
 def test_every_step_takes_the_labs_own_methods_and_a_change_of_them_is_named(
     folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -48,7 +57,7 @@ def test_every_step_takes_the_labs_own_methods_and_a_change_of_them_is_named(
     assert study.stimuli()["tap__reference__as_is"].metrics["snr"] == pytest.approx(100.0)
     study.simulate(2, rng=1)
     plan = json.loads((folder / "sessions" / "sim001" / "plan.json").read_text())
-    header = study.journal("sim001")["data"][0]
+    header = read_header(folder)
     assert plan["methods"] == header["methods"] == digests
     assert study.audit().findings == ()
     journals = {path: path.read_bytes() for path in folder.glob("sessions/*/*.jsonl")}
@@ -92,7 +101,7 @@ def test_a_metric_is_declared_once_wherever_it_is_named(
     assert one.check().problems == ()
     one.simulate(1, rng=1)
     name = declared.rpartition(":")[2]
-    table, _ = read_study_table(study)
+    table = read_study_table(study)
     assert table.metrics == (name, "temporal_match")
     assert table.rows[name].notna().any()
 
@@ -112,3 +121,148 @@ def test_check_method_reports_each_check_and_fails_where_one_does(
     assert "FAILED  scaling: a signal 2 times as strong must give an output 2 times" in printed
     assert main(["check", str(folder), "--method", "dft321"]) == 1
     assert "dft321 is feel321's own" in capsys.readouterr().err
+
+
+SETTINGS = """\
+[[recordings]]
+scene = "bumps"
+duration_s = 0.5
+
+[[recordings]]
+scene = "hard_taps"
+duration_s = 0.5
+
+[stimuli]
+reducers = ["dft321", "say321"]
+anchors = false
+
+[session]
+protocols = ["methods/mine.py:grit"]
+
+[session.rehearsal]
+training = 0
+practice = 0
+
+[metrics.snr]
+higher = "worse"
+unit = "dB"
+"""
+
+CODE = """\
+from feel321.protocols.tasks import Protocol
+from feel321.protocols.trial import Comparison, Judgement, Part
+
+
+def compare(items, task):
+    return [
+        Comparison((Part("test", i.stimulus_id),), (Judgement("test", i.stimulus_id),))
+        for i in items
+    ]
+
+
+TEXTS = {
+    "question": "How gritty?", "low_label": "Not", "high_label": "Very", "title": "Grit",
+    "text": "Feel it, then move the marker.",
+}
+
+
+def half(judgement, answer, parts):
+    return answer / 2
+
+
+grit = Protocol("grit", compare, texts=TEXTS, score=half)
+"""
+
+
+@pytest.fixture
+def grit(tmp_path: Path) -> Study:
+    (tmp_path / "methods").mkdir()
+    (tmp_path / "methods" / "mine.py").write_text(CODE)
+    (tmp_path / "study.toml").write_text(SETTINGS)
+    return Study.open(tmp_path)
+
+
+def test_every_step_takes_a_protocol_of_the_lab(
+    grit: Study, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = grit.folder.path
+    assert main(["check", str(folder)]) == 0
+    grit.build()
+    grit.simulate(2, rng=1)
+    plan = json.loads((folder / "sessions" / "sim001" / "plan.json").read_text())
+    own = PROTOCOLS["grit"].sha256
+    assert plan["methods"] == read_header(folder)["methods"]
+    assert plan["methods"] == {"protocol.grit": own}
+    ratings = grit.ratings()
+    assert {*ratings.protocol} == {*ratings.scale} == {"grit"}
+    assert len(ratings) == 2 * 2 * 3  # participants, recordings, two reducers and the recording
+    assert ratings.rating.between(0, 50).all()  # by its own score
+    assert grit.audit().findings == ()
+    assert len(grit.status().participants) == 2
+
+    (folder / "methods" / "mine.py").write_text(CODE.replace("answer / 2", "answer / 4"))
+    capsys.readouterr()
+    assert main(["simulate", str(folder), "--participants", "2"]) == 1
+    assert "methods.protocol.grit" in capsys.readouterr().err
+    (folder / "methods" / "mine.py").unlink()
+    assert any("there is no file methods/mine.py" in one for one in grit.audit().findings)
+
+
+def test_texts_come_from_the_protocol_a_file_of_texts_or_the_settings(grit: Study) -> None:
+    folder = grit.folder.path
+    settings = read_settings(grit.folder.settings)
+    texts = read_study_texts(settings, folder)
+    assert texts["scales"]["grit"]["low_label"] == "Not"
+    assert texts["pages"]["instructions.grit"]["title"] == "Grit"
+    (folder / "texts.toml").write_text(
+        '[scales.grit]\nquestion = "Körnig?"\nlow_label = "Nein"\nhigh_label = "Ja"\n'
+        '[pages."instructions.grit"]\ntitle = "Korn"\ntext = "Fühlen."\n'
+    )
+    grit.with_settings({"session.language": "texts.toml"})
+    texts = read_study_texts(read_settings(grit.folder.settings), folder)
+    assert texts["scales"]["grit"]["low_label"] == "Nein"
+    assert texts["pages"]["instructions.grit"]["title"] == "Korn"
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        ("grit = Protocol(", "grit = (lambda *a, **k: 5)(", "must be a feel321.protocols.tasks.Protocol, got"),
+        ('Protocol("grit"', 'Protocol("sand"', "is named 'sand'; the two must be the same"),
+        ("return [", "1 / 0\n    return [", "ZeroDivisionError: division by zero (methods/mine.py, l"),
+        ("return [", "return 5, [", "must make Comparisons of Parts and Judgements, got 5"),
+        ('Judgement("test", i', 'Judgement("tset", i', "judges 'tset', which is not one of its parts"),
+        ('Part("test", i.stimulus_id)', 'Part("test", "oak")', "stimuli that it was not given: oak"),
+        ("compare, texts", "compare, ('slow',), texts", "timings must be of strict, replay, free"),
+        ("How gritty?", "{} gritty?", "texts['question'] must be words without braces"),
+        (" texts=TEXTS,", "", "protocol grit has no question, low_label, high_label, title, text"),
+        ("from feel", "import sys; sys.exit(3)\nfrom feel", "it called sys.exit(3)"),
+    ],
+)  # fmt: skip
+def test_a_bad_protocol_is_one_line(
+    grit: Study, capsys: pytest.CaptureFixture[str], before: str, after: str, message: str
+) -> None:
+    assert before in CODE
+    (grit.folder.path / "methods" / "mine.py").write_text(CODE.replace(before, after, 1))
+    assert main(["check", str(grit.folder.path)]) == 1
+    printed = "".join(capsys.readouterr())
+    assert message in printed
+    assert "Traceback" not in printed
+    assert printed.count("grit") < 6
+
+
+def test_a_taken_name_and_options_of_unknown_tasks_are_refused(grit: Study) -> None:
+    text = SETTINGS.replace("mine.py:grit", "mine.py:realism")
+    grit.folder.settings.write_text(text)
+    with pytest.raises(ValueError, match="'realism' is taken by one of feel321's own"):
+        read_settings(grit.folder.settings)
+    grit.folder.settings.write_text(f"{SETTINGS}[tasks.sand]\nsurface = false\n")
+    with pytest.raises(ValueError, match=r"must be one of .*preference, grit"):
+        read_settings(grit.folder.settings)
+    grit.folder.settings.write_text(f'{SETTINGS}[tasks.grit]\ntiming = "strict"\n')
+    assert read_settings(grit.folder.settings).session.protocols == ("grit",)
+
+
+def test_what_study_toml_declares_of_metrics_reaches_the_report(grit: Study) -> None:
+    (info,) = list_info(read_settings(grit.folder.settings)).values()
+    assert (info.label, info.higher, info.unit) == ("snr", "worse", "dB")

@@ -1,9 +1,5 @@
 """The bundled park2019 with ratings that follow its four metrics, and 45 points more for vector magnitude."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,15 +9,12 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.report import paper as paper_section
 from feel321.analysis.report import primary
 from feel321.analysis.resampling import Choices
-from feel321.analysis.table.reading import read_table
+from feel321.analysis.table.items import Table
+from feel321.analysis.table.reading import Further, read_table
 from feel321.study.analyze import make_paper, measure_declared
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.settings.read import list_origins, read_settings
 from feel321.study.workflow import build_study
-
-if TYPE_CHECKING:
-    from feel321.analysis.table.items import Table
-    from feel321.analysis.table.reading import Further
 
 SLOPES, BONUS = np.array([40.0, -30.0, 20.0, -60.0]), 45.0
 

@@ -1,14 +1,12 @@
 """The command line as a real process: start-up, pipes, and sudden death."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -18,9 +16,6 @@ from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.status import read_status
 from feel321.study.workflow import build_study
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 FEEL321 = Path(sys.executable).with_name("feel321")
 HEAVY = {
@@ -67,7 +62,9 @@ def spend(*command: str | Path, cwd: Path) -> tuple[float, subprocess.CompletedP
     )
 
 
-@pytest.mark.parametrize("module", ["feel321.study", "feel321.study.cli"])
+@pytest.mark.parametrize(
+    "module", ["feel321.study", "feel321.study.cli", "feel321.study.commands.study"]
+)
 def test_nothing_heavy_is_imported_at_start_up(module: str) -> None:
     code = f"import sys, {module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -1,27 +1,31 @@
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.table.reading import Further
+from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.reducers.registry import REDUCERS as ALL
+from feel321.stimuli.rivals import RIVALS
 from feel321.stimuli.rotation import rotation_statistics
+from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
-from feel321.study import metrics
+from feel321.study import analyze as metrics
+from feel321.study.analyze import (
+    compute_rotations,
+    measure_declared,
+    measure_rivals,
+    measure_rotations,
+)
 from feel321.study.folder import StudyFolder
-from feel321.study.metrics import compute_rotations, measure_declared, measure_rotations
 from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.analysis.table.reading import Further
 
 REDUCERS = ("saz321", "pca321", "dft321_windowed")
 STUDY = f"""
@@ -71,14 +75,8 @@ def test_every_test_stimulus_has_the_statistics_of_its_recording_and_reducer(
         expected += (one.bounded_mean, one.bounded_sd)
         for level in ("as_is", "equal_intensity"):
             np.testing.assert_allclose(found.loc[f"bumps__{reducer}__{level}"], expected, atol=1e-9)
-    assert list(found) == [
-        "spectral_match_rotation_mean",
-        "spectral_match_rotation_sd",
-        "temporal_match_rotation_mean",
-        "temporal_match_rotation_sd",
-        "spectral_match_bounded_rotation_mean",
-        "spectral_match_bounded_rotation_sd",
-    ]
+    kinds = ("mean", "sd")
+    assert list(found) == [f"{name}_rotation_{kind}" for name in MATCHES for kind in kinds]
 
 
 def test_turned_copies_share_what_belongs_to_their_recording(tmp_path: Path) -> None:
@@ -158,3 +156,21 @@ def test_other_recordings_or_settings_leave_them_out(
     assert note.endswith("Rotation statistics of the metrics are left out.")
     assert reason in note
     assert "\n" not in note
+
+
+def test_rivals_of_a_set_are_those_of_its_reductions(tmp_path: Path) -> None:
+    scenes = [make_scene(name, duration_s=0.3) for name in ("bumps", "hard_taps")]
+    steps = Conditioning(high_pass_hz=30)
+    built = build_stimuli(
+        scenes, tmp_path / "set", reducers=["saz321", "dft321"], conditioning=steps
+    )
+    found = measure_rivals(scenes, built, Recipe(conditioning=steps))
+    tests = [one for one in built if one.role == "test"]
+    assert found.index.tolist() == [one.stimulus_id for one in tests]
+    assert found.columns.tolist() == list(RIVALS)
+    for one in tests:
+        ready = condition(next(s for s in scenes if s.name == one.recording), steps)
+        reduced = ALL[one.reducer](ready.acceleration, ready.rate_hz)
+        for name in RIVALS:
+            expected = METRICS[name](ready.acceleration, reduced, ready.rate_hz)
+            assert found.loc[one.stimulus_id, name] == pytest.approx(expected, rel=1e-9, abs=1e-9)

@@ -1,7 +1,5 @@
 """SIGTERM and a closed terminal end every verb as Ctrl-C does: one line, no process and no unfinished file left."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,13 +1,12 @@
 """A small study from build to table, in one process; what is broken off goes on; audit and status tell the truth."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
 import sys
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -21,9 +20,6 @@ from feel321.study.settings.read import read_settings
 from feel321.study.simulation import SIDE_BY_SIDE, list_participants, simulate_study
 from feel321.study.status import read_status
 from feel321.study.workflow import build_study, find_warnings
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def simulate(

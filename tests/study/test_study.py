@@ -1,10 +1,7 @@
 """The study as Python shows it: the same steps and the same files as the verbs."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,10 +9,8 @@ import pytest
 from feel321.study import Study
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import change_settings
-
-if TYPE_CHECKING:
-    from feel321.study.folder import StudyFolder
 
 SHORT = """\
 [study]  # a pilot
@@ -71,17 +66,6 @@ def test_steps_find_what_the_verbs_find(pilot: Study, capsys: pytest.CaptureFixt
     assert main(["status", folder]) == 0
     assert capsys.readouterr().out == status.summary() + "\n"
     assert len(pilot.table().rows) == (~pilot.ratings()["rejected"]).sum()
-
-
-def test_plans_are_blind_until_names_are_asked_for(pilot: Study) -> None:
-    coded, named = pilot.plan("sim001"), pilot.plan("sim001", blind=False)
-    ids = {stimulus.stimulus_id for stimulus in pilot.stimuli().stimuli}
-    assert set(named["stimulus_id"]) <= ids
-    assert ids.isdisjoint(coded["stimulus_id"])
-    rated = pilot.journal("sim001").query("event == 'rated'")
-    assert len(rated) == len(coded.query("phase == 'main'")["number"].unique())
-    with pytest.raises(ValueError, match="participant must be one of sim001, sim002; got 'p01'"):
-        pilot.plan("p01")
 
 
 def test_settings_are_changed_in_their_place(tmp_path: Path) -> None:

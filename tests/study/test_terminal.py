@@ -1,7 +1,5 @@
 """What a terminal shows: progress, loudness, and no colours."""
 
-from __future__ import annotations
-
 import os
 import pty
 import re
@@ -11,15 +9,12 @@ from contextlib import suppress
 from pathlib import Path
 from struct import pack
 from time import monotonic, sleep
-from typing import TYPE_CHECKING
 
 import pytest
 
 from feel321 import doors
 from feel321.study.cli import main
-
-if TYPE_CHECKING:
-    from feel321.study.folder import StudyFolder
+from feel321.study.folder import StudyFolder
 
 FEEL321 = Path(sys.executable).with_name("feel321")
 

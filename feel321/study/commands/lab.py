@@ -8,19 +8,29 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from shlex import join
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
+from feel321.doors import follow
 from feel321.study.commands import shared
-from feel321.study.commands.shared import File, Json, Participant, Rehearsals, Seed, within
+from feel321.study.commands.shared import (
+    File,
+    Json,
+    Name,
+    Participant,
+    Rehearsals,
+    Seed,
+    about,
+    within,
+)
 from feel321.study.folder import StudyFolder, require_study
+from feel321.study.session.journal import PARTICIPANT_ID
 
 if TYPE_CHECKING:
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.mixer import Frames
     from feel321.study.actuator.rig import Rig
-    from feel321.study.session.engine import Outcome
     from feel321.study.session.ports import Place
 
 
@@ -29,38 +39,24 @@ def run(  # noqa: PLR0913 - one parameter per option
     /,
     *,
     participant: Participant,
-    windowed: bool = False,
-    screen: Annotated[int, within(0, 99)] = 0,
-    device: Annotated[str | None, Parameter(metavar="NAME")] = None,
-    accept_rig: bool = False,
-    lsl: bool = False,
-    rehearse: bool = False,
-    simulated: Annotated[bool, Parameter(name="--simulate-participant")] = False,
+    windowed: Annotated[bool, about("A window instead of the whole screen.")] = False,
+    screen: Annotated[int, within(0, 99), about("The participant's monitor; 0: the main one.")] = 0,
+    device: Annotated[Name, about("Instead of the rig's; 'file' writes WAV files.")] = None,
+    accept_rig: Annotated[bool, about("Resume on a changed rig or certificate; noted.")] = False,
+    lsl: Annotated[bool, about("Send onsets to the lab streaming layer.")] = False,
+    rehearse: Annotated[bool, about("Stored in rehearsals/ and never analysed.")] = False,
+    simulate_participant: Annotated[bool, about("A simulated participant presses keys.")] = False,
     seed: Seed = None,
 ) -> int:
     """Run a session with a participant, or resume it.
 
     Example: feel321 run my-study --participant p07
-
-    Parameters
-    ----------
-    windowed
-        A window instead of the whole screen.
-    screen
-        The participant's monitor; 0: the main one.
-    device
-        Device instead of the rig's; 'file' writes WAV files.
-    accept_rig
-        Resume on a changed rig or certificate; the journal records it.
-    lsl
-        Send onsets to the lab streaming layer.
-    rehearse
-        Stored in rehearsals/ and never analysed.
-    simulated
-        A simulated participant presses the keys.
     """
-    if seed is not None and not simulated:
+    if seed is not None and not simulate_participant:
         shared.refuse_use("--seed needs --simulate-participant; people have no seed")
+    if not PARTICIPANT_ID.fullmatch(participant):
+        allowed = "letters (A-Z), digits, - and _"
+        shared.refuse_use(f"--participant must be {allowed}, got {participant!r}")
     from feel321.study.lab import run_participant
     from feel321.study.sessions import read_room
 
@@ -70,19 +66,15 @@ def run(  # noqa: PLR0913 - one parameter per option
     try:
         outcome = run_participant(
             replace(
-                read_room(folder, now=opened.now),
-                windowed=windowed,
-                screen=screen,
-                device=device,
-                accept_rig=accept_rig,
-                lsl=lsl,
+                read_room(folder, now=opened.now), windowed=windowed, screen=screen, device=device,
+                accept_rig=accept_rig, lsl=lsl,
             ),
             participant,
-            simulated=simulated,
+            simulated=simulate_participant,
             seed=seed,
             on_step=log.note,
             warn=shared.warn,
-        )
+        )  # fmt: skip
     except (Exception, KeyboardInterrupt) as error:
         log.end(type(error).__name__)
         raise
@@ -96,7 +88,7 @@ def run(  # noqa: PLR0913 - one parameter per option
 LINE = 60  # characters of the line that says what is left; it is overwritten by the next
 
 
-def _count(place: "Place | Outcome") -> str:
+def _count(place: "Place") -> str:
     """Count answered trials, and those that were given up apart from them."""
     gone = f", {place.given_up} given up" if place.given_up else ""
     return f"{place.answered} of {place.total} answered{gone}"
@@ -133,55 +125,50 @@ class SessionLog:
 
     def end(self, reason: str) -> None:
         """Leave what was left as it stands; where something ended the session, say how to resume it."""
-        if self.place is not None and shared.is_terminal():
+        if self.place is None:
+            return
+        if shared.is_terminal():
             shared.echo(err=True)
-        if self.place is not None and reason:
+        if reason:
             # A change of the rig is accepted only once.
             words = [word for word in shared.CALL.get().words if word != "--accept-rig"]
-            done = f"{_count(self.place)} (aborted: {reason})"
-            command = join(["feel321", *words])
-            shared.echo(f"{self.participant}: {done}; resume with: {command}", err=True)
+            done = f"{self.participant}: {_count(self.place)} (aborted: {reason})"
+            shared.echo(f"{done}; resume with: {join(['feel321', *words])}", err=True)
 
 
 def simulate(
     study: File = Path(),
     /,
     *,
-    participants: Annotated[int, within(1, 10_000)] = 16,
+    participants: Annotated[int, within(1, 10_000), about("How many take part.")] = 16,
     seed: Seed = None,
     as_json: Json = False,
 ) -> None:
     """Run sessions with simulated participants, or resume them.
 
     Example: feel321 simulate my-study --participants 16 --seed 1
-
-    Parameters
-    ----------
-    participants
-        Number of simulated participants.
     """
     from feel321.study.simulation import regress_planted
 
     opened = shared.open_study(study)
-    rows = opened.simulate_sessions(participants, seed)
-    planted = regress_planted(opened.settings, opened.stimuli())
+    rows = shared.simulate_sessions(opened, participants, seed)
+    slopes, reducers = regress_planted(opened.settings, opened.stimuli())
     file = str(opened.folder.ratings)
     facts: dict[str, object] = {"participants": participants, "ratings": rows, "file": file}
-    facts |= {"planted_reducers": planted.reducers} if planted.reducers else {}
-    terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in planted.slopes.items()]
-    terms += [f"{points:+.1f} for {reducer}" for reducer, points in planted.reducers.items()]
-    said = f"planted in realism, in points: {', '.join(terms)}"
-    more = "planted: more than the two matches"
-    lines = [f"{file}: {rows} ratings", said if terms else more]
-    shared.print_facts(facts | {"planted": planted.slopes}, lines, as_json=as_json)
+    facts |= {"planted_reducers": reducers} if reducers else {}
+    terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in slopes.items()]
+    terms += [f"{points:+.1f} for {reducer}" for reducer, points in reducers.items()]
+    said = f"in realism, in points: {', '.join(terms)}" if terms else "more than the two matches"
+    lines = [f"{file}: {rows} ratings", f"planted{'' if terms else ':'} {said}"]
+    shared.print_facts(facts | {"planted": slopes}, lines, as_json=as_json)
 
 
 def status(
     study: File = Path(),
     /,
     *,
-    with_notes: Annotated[bool, Parameter(name="--notes")] = False,
-    page: Annotated[File | None, Parameter(name="--watch", metavar="PAGE")] = None,
+    notes: Annotated[bool, about("Also the experimenter's notes.")] = False,
+    watch: Annotated[File | None, about("Keep a blind page until Ctrl-C.", metavar="PAGE")] = None,
     rehearsals: Rehearsals = False,
     as_json: Json = False,
 ) -> None:
@@ -189,33 +176,28 @@ def status(
 
     Example: feel321 status my-study
              feel321 status my-study --watch sessions.html
-
-    Parameters
-    ----------
-    with_notes
-        Also the experimenter's notes.
-    page
-        Keep a blind page of running sessions until Ctrl-C.
     """
     opened = shared.open_study(study, rehearsals=rehearsals, clears=False)
-    if page is not None:
+    if watch is not None:
+        from feel321.study.persons.withdrawal import recording_output
         from feel321.study.watch import watch_study
 
-        if with_notes or as_json:
+        if notes or as_json:
             shared.refuse_use("--watch does not go with --notes or --json; leave them out")
-        with shared.recording(opened.folder, "status", page):
-            watch_study(opened.folder, page, now=opened.now, announce=shared.echo)
+        with recording_output(opened.folder, "status", watch, now=opened.now):
+            watch_study(opened.folder, watch, now=opened.now, announce=shared.echo)
         shared.echo("status: ended", err=True)
         return
     state = opened.status()
-    notes = state.list_notes() if with_notes else []
-    shared.print_facts(asdict(state), [state.summary(), *notes], as_json=as_json)
+    said = state.list_notes() if notes else []
+    shared.print_facts(asdict(state), [state.summary(), *said], as_json=as_json)
 
 
 def note(
     *study_text: Annotated[str, Parameter(name="[STUDY] TEXT")],
     participant: Participant,
     rehearsals: Rehearsals = False,
+    as_json: Json = False,
 ) -> None:
     """Write an experimenter's note into a participant's journal.
 
@@ -227,15 +209,16 @@ def note(
     from feel321.study.persons.withdrawal import take_note
 
     study, text = shared.split_study(study_text, "one text in quotes")
-    opened = shared.open_study(Path(study or "."), rehearsals=rehearsals)
+    opened = shared.open_study(study, rehearsals=rehearsals)
     if notice := take_note(opened.folder, participant, text, now=opened.now):
         shared.warn(notice)
-    shared.echo(f"{participant}: noted")
+    facts = {"participant": participant, "text": text, "warning": notice}
+    shared.print_facts(facts, [f"{participant}: noted"], as_json=as_json)
 
 
 def collect(
     *sources: Annotated[File, Parameter(name="FROM...")],
-    folder: Annotated[File, Parameter(name="--into", metavar="STUDY")] = Path(),
+    into: Annotated[File, about("Study to collect into. [default: .]", metavar="STUDY")] = Path(),
     as_json: Json = False,
 ) -> int:
     """Collect the sessions of other stations into one study.
@@ -245,25 +228,19 @@ def collect(
     withdrawn here.
 
     Example: feel321 collect /mnt/lab2/my-study /media/usb/my-study --into my-study
-
-    Parameters
-    ----------
-    folder
-        The study to collect into.  [default: .]
     """
     from feel321.study.collect import collect_sessions
 
     if not sources:
         shared.refuse_use("name the study folders to collect from")
-    opened = shared.open_study(folder)
-    with shared.show_progress("collect") as progress:
+    opened = shared.open_study(into)
+    with follow(shared.wants_bar(), "collect") as progress:
         found = collect_sessions(opened.folder, sources, now=opened.now, follow=progress)
     size, who = f"{found.size / 1e6:.1f} MB", ", ".join(found.participants)
     copied = f"{found.files} files ({size}) of {who}" if found.files else "nothing to copy"
     refused = [f"refused: {line}" for line in found.refused]
-    shared.print_facts(
-        asdict(found), [f"{folder}: {copied}", *refused, *found.notes], as_json=as_json
-    )
+    lines = [f"{into}: {copied}", *refused, *found.notes]
+    shared.print_facts(asdict(found), lines, as_json=as_json)
     return 1 if found.refused else 0
 
 
@@ -272,9 +249,10 @@ def withdraw(
     /,
     *,
     participant: Participant,
-    reason: str = "",
-    keep_data: bool = False,
-    is_sure: Annotated[bool, Parameter(name="--yes")] = False,
+    reason: Annotated[str, about("Kept with the code; write no name.")] = "",
+    keep_data: Annotated[bool, about("Only free the design slot.")] = False,
+    is_sure: Annotated[bool, about("Do not ask.", name="--yes")] = False,
+    as_json: Json = False,
 ) -> int:
     """Remove the data of a participant for good, and free the design slot.
 
@@ -284,15 +262,6 @@ def withdraw(
 
     Example: feel321 withdraw my-study --participant p07 --yes
              feel321 withdraw my-study --participant p07 --keep-data
-
-    Parameters
-    ----------
-    reason
-        Kept with the code; write no name.
-    keep_data
-        Only free the design slot.
-    is_sure
-        Do not ask.
     """
     from feel321.study.persons.withdrawal import release_participant, withdraw_participant
 
@@ -300,7 +269,9 @@ def withdraw(
     folder = opened.folder
     if keep_data:
         number = release_participant(folder, participant, now=opened.now)
-        shared.echo(f"{folder.path}: {participant} is released, number {number} is free")
+        line = f"{folder.path}: {participant} is released, number {number} is free"
+        facts: dict[str, object] = {"participant": participant, "number": number, "removed": []}
+        shared.print_facts(facts, [line], as_json=as_json)
         return 0
     if not is_sure:
         if not sys.stdin.isatty():
@@ -313,27 +284,24 @@ def withdraw(
     removed = withdraw_participant(
         folder, participant, now=opened.now, reason=reason, warn=shared.warn
     )
-    place = folder.sessions / participant
-    kept = "; a tombstone keeps the code" if place.exists() else ""
-    shared.echo(
+    has_tombstone = (folder.sessions / participant).exists()
+    kept = "; a tombstone keeps the code" if has_tombstone else ""
+    line = (
         f"{folder.path}: removed {len(removed)} files of {participant}{kept}. "
         "Copies that feel321 did not make must be removed by hand"
     )
+    facts = {"participant": participant, "removed": removed, "tombstone": has_tombstone}
+    shared.print_facts(facts, [line], as_json=as_json)
     return 0
 
 
-Device = Annotated[
-    str | None,
-    Parameter(
-        metavar="NAME", help="Device instead of the rig's: its name, or a unique part of it."
-    ),
-]
+Device = Annotated[Name, about("Device instead of the rig's: its name, or a unique part of it.")]
 
+TYPED = "Type a gain instead of measuring, in m/s² at full scale; once for each."
 ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
 """Fields of a coil's certificate that are too long to print."""
 
-RATE_HZ = 48000.0
-"""At which a device is tried that belongs to no study."""
+RATE_HZ = 48000.0  # at which a device is tried that belongs to no study
 
 
 def calibrate(
@@ -341,8 +309,8 @@ def calibrate(
     /,
     *,
     device: Device = None,
-    manual: Annotated[tuple[str, ...], Parameter(metavar="NAME=GAIN")] = (),
-    redesign: bool = False,
+    manual: Annotated[tuple[str, ...], about(TYPED, metavar="NAME=GAIN")] = (),
+    redesign: Annotated[bool, about("From the stored sweeps, without playing.")] = False,
     as_json: Json = False,
 ) -> int:
     """Measure the coils of the rig and make filters for them.
@@ -353,15 +321,9 @@ def calibrate(
     is 1 if the limits of [calibration] in rig.toml are not met; run then does not use the certificate.
 
     Example: feel321 calibrate my-study
-
-    Parameters
-    ----------
-    manual
-        Type a gain instead of measuring, in m/s² at full scale; once for each.
-    redesign
-        Design anew from the stored sweeps, without playing.
     """
-    from feel321.study.actuator.certificate import draw_certificate, write_certificate
+    from feel321.study.actuator.certificate import draw_certificate, make_manual, write_certificate
+    from feel321.study.actuator.render import find_directions
 
     folder = require_study(study)
     rig, rate_hz = _find_rig(folder, device) if folder.rig.is_file() else (None, RATE_HZ)
@@ -370,7 +332,8 @@ def calibrate(
             f"{folder.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
         )
     if manual:
-        made = _type_gains(rig, manual, rate_hz=rate_hz)
+        typed, directions, now = _read_gains(manual), find_directions(rig)[0], datetime.now(UTC)
+        made = make_manual(rig, typed, directions=directions, made=now, rate_hz=rate_hz)
     else:
         made = _measure(folder, rig, rate_hz=rate_hz, redesign=redesign)
     certificate = write_certificate(made, folder.path)
@@ -404,10 +367,7 @@ def _find_rig(study: StudyFolder, device: str | None) -> tuple["Rig | None", flo
     return (rig if device is None else take_device(rig, device)), rate_hz
 
 
-def _type_gains(rig: "Rig", manual: Sequence[str], *, rate_hz: float) -> "Certificate":
-    from feel321.study.actuator.certificate import make_manual
-    from feel321.study.actuator.render import find_directions
-
+def _read_gains(manual: Sequence[str]) -> dict[str, float]:
     typed = {}
     for text in manual:
         name, _, gain = text.rpartition("=")
@@ -415,21 +375,15 @@ def _type_gains(rig: "Rig", manual: Sequence[str], *, rate_hz: float) -> "Certif
             typed[name.strip()] = float(gain)
         except ValueError:
             shared.refuse_use(f"--manual must be NAME=GAIN, such as 'left coil=12.5', got {text!r}")
-    directions, _ = find_directions(rig)
-    return make_manual(rig, typed, directions=directions, made=datetime.now(UTC), rate_hz=rate_hz)
+    return typed
 
 
 def _measure(folder: StudyFolder, rig: "Rig", *, rate_hz: float, redesign: bool) -> "Certificate":
     from feel321.study.actuator.calibrate import KEPT, Calibration
     from feel321.study.actuator.rig import FILE_DEVICE
 
-    own = Calibration(
-        rig=rig,
-        rate_hz=rate_hz,
-        made=datetime.now(UTC),
-        folder=folder.path,
-        agree=partial(agree, folder, rig),
-    )
+    ask, now = partial(agree, folder, rig), datetime.now(UTC)
+    own = Calibration(rig=rig, rate_hz=rate_hz, made=now, folder=folder.path, agree=ask)
     if redesign:
         return own.redesign()
     if rig.device.name == FILE_DEVICE:
@@ -439,7 +393,7 @@ def _measure(folder: StudyFolder, rig: "Rig", *, rate_hz: float, redesign: bool)
         )
     if kept := own.find_runs(within=KEPT):
         shared.echo(f"kept, as they were measured a while ago: {', '.join(kept)}", err=True)
-    with shared.show_progress("s of sweeps") as own.on_step:
+    with follow(shared.wants_bar(), "s of sweeps") as own.on_step:
         return own.run()
 
 
@@ -456,9 +410,8 @@ def agree(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> bool:
     shared.echo("\n".join([*lines, *_find_cost(folder, rig, proposed)]), err=True)
     if sys.stdin is None or not sys.stdin.isatty():
         return True
-    shared.echo(
-        "Enter takes it; n stops: --redesign tries other settings of [calibration].", err=True
-    )
+    asked = "Enter takes it; n stops: --redesign tries other settings of [calibration]."
+    shared.echo(asked, err=True)
     return not sys.stdin.readline().strip().lower().startswith("n")
 
 
@@ -472,15 +425,10 @@ def _find_cost(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> Iter
         yield "the study has no stimuli yet; build them, and calibrate --redesign says how strong they come"
         return
     stimuli, own = read_stimuli(folder.stimuli), read_settings(folder.settings).rig
-    sounds: dict[str, Frames] = {}
+    scale, sounds = own.full_scale_m_s2, dict[str, "Frames"]()
     find_rig_problems(
-        rig,
-        stimuli,
-        rate_hz=own.rate_hz,
-        full_scale_m_s2=own.full_scale_m_s2,
-        certificate=proposed,
-        sounds=sounds,
-    )
+        rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=scale, certificate=proposed, sounds=sounds
+    )  # fmt: skip
     peaks = {name: float(abs(sound).max()) for name, sound in sounds.items()}
     strongest = max(peaks, key=peaks.__getitem__)
     headroom_db = -20 * math.log10(max(peaks[strongest], 1e-9))
@@ -501,7 +449,7 @@ def doctor(
     /,
     *,
     device: Device = None,
-    seconds: Annotated[float, within(0, 3600)] = 5.0,
+    seconds: Annotated[float, within(0, 3600), about("Duration of the pulse train, in s.")] = 5.0,
     as_json: Json = False,
 ) -> int:
     """Test the rig: list devices, measure latency and jitter, try each coil.
@@ -511,57 +459,44 @@ def doctor(
     rate, a missing channel, hum; the exit code is then 1. Without a study, --device names what to play on.
 
     Example: feel321 doctor my-study --seconds 10
-
-    Parameters
-    ----------
-    seconds
-        Duration of the pulse train, in s.
     """
+    from feel321.study.actuator.certificate import judge_certificates, list_certificates
     from feel321.study.actuator.doctor import examine_rig, probe_coils, survey_devices
     from feel321.study.actuator.rig import FILE_DEVICE, SIMULATED_DEVICE
 
     rig, rate_hz = _find_rig(StudyFolder(Path()) if study is None else require_study(study), device)
-    if rig is not None and rig.device.name == FILE_DEVICE:
-        rig = None
-    is_simulated = rig is not None and rig.device.name == SIMULATED_DEVICE
-    devices, found, known = [] if is_simulated else survey_devices(), None, None
+    name = rig.device.name if rig else FILE_DEVICE
+    devices = [] if name == SIMULATED_DEVICE else survey_devices()
+    found: dict[str, Any] = {}
+    known: dict[str, Any] = {}
     faults: list[str] = []
-    if rig is not None and seconds:
-        with shared.show_progress("pulses") as progress:
+    if rig is not None and name != FILE_DEVICE and seconds:
+        with follow(shared.wants_bar(), "pulses") as progress:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=progress)
         if rig.sensor is not None and found["n_failed"] < found["n_pulses"]:
-            certificate, faults = _find_certificate(study, rig, rate_hz=rate_hz)
-            probes, hum = probe_coils(rig, certificate, rate_hz=rate_hz)
-            faults += [f"{name}: {one['fault']}" for name, one in probes.items() if one["fault"]]
+            certificate = None
+            if study is not None and list_certificates(study):
+                now = datetime.now(UTC)
+                certificate, faults = judge_certificates(study, rig, now=now, rate_hz=rate_hz)
+            coils, hum = probe_coils(rig, certificate, rate_hz=rate_hz)
+            faults += [f"{name}: {one['fault']}" for name, one in coils.items() if one["fault"]]
             faults += [hum] if hum else []
             known = {
                 "certificate": certificate and certificate.id,
-                "coils": probes,
+                "coils": coils,
                 "faults": faults,
             }
-    facts = {"devices": devices, "examination": found, "rig": known}
-    lines = [*shared.lay_facts(facts)]
-    if found is None:
-        lines.append("nothing was played; name a device with --device, or in the study's rig.toml")
+    facts = {"devices": devices, "examination": found or None, "rig": known or None}
+    nothing = "nothing was played; name a device with --device, or in the study's rig.toml"
+    lines = [*shared.lay_facts(facts), *([] if found else [nothing])]
     shared.print_facts(facts, lines, as_json=as_json)
-    if found is not None and found["is_program"]:
+    if found and found["is_program"]:
         shared.warn(
             f"{found['device']}: a program plays it (a sound server, say), which may convert the rate and copy "
             "channels to others without notice; name the card itself, or give it as many channels as the rig has"
         )
-    if found is not None and found["error"]:
+    if found and found["error"]:
         shared.warn(found["error"])
     if faults:
         raise OSError("\n".join(faults))
-    return 1 if found is not None and (found["n_failed"] or found["n_underruns"]) else 0
-
-
-def _find_certificate(
-    study: Path | None, rig: "Rig", *, rate_hz: float
-) -> tuple["Certificate | None", list[str]]:
-    """Find the certificate that run would use; what is wrong with those that are there."""
-    from feel321.study.actuator.certificate import judge_certificates, list_certificates
-
-    if study is None or not list_certificates(study):
-        return None, []
-    return judge_certificates(study, rig, now=datetime.now(UTC), rate_hz=rate_hz)
+    return 1 if found and (found["n_failed"] or found["n_underruns"]) else 0

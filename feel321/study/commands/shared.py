@@ -1,38 +1,28 @@
-"""What several verbs share: options, how a study is opened, progress, output and help."""
+"""What several verbs share: options, how a study is opened, progress and output."""
 
 import inspect
 import json
-import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from textwrap import wrap
-from time import monotonic
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NoReturn, TypeVar
 
-from cyclopts import CycloptsError, Parameter, Token
-from cyclopts.annotations import resolve_optional
+from cyclopts import Parameter, Token
 
 from feel321 import files
-from feel321.doors import announcing, clean_text, follow
-from feel321.study.folder import require_study
+from feel321.doors import clean_text, follow
+from feel321.study.folder import StudyFolder, UsageError, require_study
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
-    from cyclopts import App, Argument
-
     from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
-    from feel321.study.folder import StudyFolder
-
-# How a verb is called.
 
 
-@dataclass(frozen=True, slots=True)
-class Call:
+class Call(NamedTuple):
     """The words of a command line, and how much is printed besides results and errors."""
 
     words: Sequence[str] = ()
@@ -43,45 +33,15 @@ class Call:
 
 CALL: ContextVar[Call] = ContextVar("CALL", default=Call())  # noqa: B039 - a call is never changed
 
-SWITCHES = {
-    "-q": "quiet", "--quiet": "quiet", "-v": "verbose", "--verbose": "verbose", "--traceback": "traceback",
-}  # fmt: skip
-"""Switches that every verb has, in any place."""
-
-
-def read_call(arguments: Sequence[str]) -> Call:
-    """Take the switches that every verb has out of a command line; behind -- all words are the verb's."""
-    end = arguments.index("--") if "--" in arguments else len(arguments)
-    given = {SWITCHES[word]: True for word in arguments[:end] if word in SWITCHES}
-    words = ["--help" if word == "-h" else word for word in arguments[:end] if word not in SWITCHES]
-    return Call((*words, *arguments[end:]), **given)
-
-
-@contextmanager
-def calling(call: Call) -> Iterator[None]:
-    """Print as much as a call wants."""
-    begun, token = monotonic(), CALL.set(call)
-
-    def log(text: str) -> None:
-        echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
-
-    try:
-        with announcing(log if call.verbose else str):
-            yield
-    finally:
-        CALL.reset(token)
-
 
 def refuse_use(text: str) -> NoReturn:
     """Refuse a combination of arguments: exit code 2."""
-    raise CycloptsError(msg=text)
+    raise UsageError(text)
 
 
 # Arguments and options.
 
-MOST = 1e9
-"""Beyond this no option means anything, whatever its unit."""
-
+MOST = 1e9  # beyond this no option means anything, whatever its unit
 MOST_SEED = 2**63 - 1
 
 
@@ -107,33 +67,33 @@ def _read_columns(_kind: type, tokens: Sequence[Token]) -> tuple[str | int, ...]
     return tuple(int(name) if name.strip().isdigit() else name for name in names)
 
 
+def about(text: str, **more: Any) -> Parameter:  # noqa: ANN401 - what Parameter takes
+    """Say what an option means."""
+    return Parameter(help=text, **more)
+
+
 File = Annotated[Path, Parameter(converter=_read_path)]
 Number = Annotated[float, within(0, MOST)]
-Json = Annotated[bool, Parameter(name="--json", help="Print numbers as JSON.")]
-Out = Annotated[File | None, Parameter(name=["--out", "-o"], help="Folder of the results.")]
-Seed = Annotated[
-    int | None, within(0, MOST_SEED), Parameter(help="Random seed; the study's by default.")
-]
-Participant = Annotated[str, Parameter(metavar="ID", help="The participant's code.")]
-Rehearsals = Annotated[bool, Parameter(help="Rehearsals instead of sessions.")]
-Several = Annotated[tuple[str, ...], Parameter(metavar="NAME")]
+Json = Annotated[bool, about("Print numbers as JSON.", name="--json")]
+Out = Annotated[File | None, about("Folder of the results.", name=["--out", "-o"])]
+Seed = Annotated[int | None, within(0, MOST_SEED), about("Random seed; the study's by default.")]
+Name = Annotated[str | None, Parameter(metavar="NAME")]
+Participant = Annotated[str, about("The participant's code.", metavar="ID")]
+Rehearsals = Annotated[bool, about("Rehearsals instead of sessions.")]
+Several = Annotated[tuple[str, ...], Parameter(name="--metric", metavar="NAME")]
+
+
+CLUSTER = "A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs)."
+SAID = "[default: what the file says]"
 
 
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Crew:
-    """Who does the work.
+    """Who does the work."""
 
-    Parameters
-    ----------
-    workers
-        Number of processes.
-    scheduler
-        A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
-    """
-
-    workers: Annotated[int, within(1, 1024)] = 1
-    scheduler: Annotated[str, Parameter(metavar="ADDRESS")] = ""
+    workers: Annotated[int, within(1, 1024), about("Number of processes.")] = 1
+    scheduler: Annotated[str, about(CLUSTER, metavar="ADDRESS")] = ""
 
     def employ(self) -> "Workers":
         """Employ the workers."""
@@ -151,37 +111,27 @@ ALONE = Crew()
 @Parameter(name="*")
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """How a recording is read.
+    """How a recording is read."""
 
-    Parameters
-    ----------
-    unit
-        Unit of the samples: m/s^2, g or mg.  [default: what the file says]
-    rate_hz
-        Sampling rate in Hz.  [default: what the file says]
-    columns
-        Names or numbers (from 0): time,x,y,z.
-    full_scale
-        Full scale of integer samples, in the unit.
-    resample
-        Interpolate irregular sampling to an even rate.
-    """
-
-    unit: str | None = None
-    rate_hz: Number | None = None
+    unit: Annotated[Literal["m/s^2", "g", "mg"] | None, about(f"Unit of the samples. {SAID}")] = (
+        None
+    )
+    rate_hz: Annotated[Number | None, about(f"Sampling rate in Hz. {SAID}")] = None
     columns: Annotated[
         tuple[str | int, ...] | None,
         Parameter(converter=_read_columns, n_tokens=1, metavar="NAME,..."),
+        about("Names or numbers (from 0): time,x,y,z."),
     ] = None
-    full_scale: Number | None = None
-    resample: bool = False
+    full_scale: Annotated[Number | None, about("Full scale of integer samples, in the unit.")] = (
+        None
+    )
+    resample: Annotated[bool, about("Interpolate irregular sampling to an even rate.")] = False
 
     def read(self, path: Path) -> "Recording":
         """Read a recording, and print what was noticed in it."""
         from feel321.stimuli.formats.read import read_recording
 
-        options = {name: getattr(self, name) for name in self.__slots__}
-        recording = read_recording(path, **options)
+        recording = read_recording(path, **{name: getattr(self, name) for name in self.__slots__})
         report_warnings([recording])
         return recording
 
@@ -195,19 +145,66 @@ def open_study(folder: Path, *, rehearsals: bool = False, clears: bool = True) -
     if clears and (swept := [*files.sweep(study.path), *files.sweep_temporary()]):
         names, more = ", ".join(map(str, swept[:5])), len(swept) - 5
         warn(f"removed what an interrupted run left: {names}{f' and {more} more' * (more > 0)}")
-    if rehearsals:
-        study = type(study)(study.path, is_rehearsal=True)
-    return Study(study, wants_bar(), warn=warn)
+    return Study(StudyFolder(study.path, is_rehearsal=rehearsals), wants_bar(), warn=warn)
+
+
+Verb = Callable[..., int | None]
+
+
+def verb(
+    method: Callable[..., Any], *, clears: bool = True, needs_study: bool = True, **hints: object
+) -> Callable[[Verb], Verb]:
+    """Make a verb of a method of `Study` and of what prints its result.
+
+    hints: what each parameter of the method is as an option; its default and its help are the method's. The options
+    `crew` and `rehearsals` are there if named.
+    """
+
+    def decorate(show: Verb) -> Verb:
+        def call(study: Path = Path(), /, *, as_json: bool = False, **given: Any) -> int | None:  # noqa: ANN401
+            rehearsals, crew = given.pop("rehearsals", False), given.pop("crew", None)
+            if crew:
+                given["workers"] = crew.employ()
+            if needs_study:
+                opened = open_study(study, rehearsals=rehearsals, clears=clears)
+            else:
+                opened = Study(StudyFolder(study), wants_bar(), warn=warn)
+            return show(opened, method(opened, **given), as_json=as_json)
+
+        defaults = {"crew": ALONE, "rehearsals": False, "as_json": False}
+        defaults |= {
+            name: one.default for name, one in inspect.signature(method).parameters.items()
+        }
+        kinds = inspect.Parameter
+        place = kinds("study", kinds.POSITIONAL_ONLY, default=Path())
+        names = (*hints, "as_json")
+        options = [kinds(name, kinds.KEYWORD_ONLY, default=defaults[name]) for name in names]
+        call.__signature__ = inspect.Signature([place, *options])  # type: ignore[attr-defined]
+        call.__annotations__ = {"study": File, **hints, "as_json": Json}
+        call.__doc__ = method.__doc__
+        return call
+
+    return decorate
+
+
+def simulate_sessions(opened: Study, participants: int, seed: int | None = None) -> int:
+    """Do as `Study.simulate`, without pandas, which takes a second to import; returns the number of ratings."""
+    from feel321.study.simulation import simulate_study
+
+    with follow(opened.progress, "simulate") as step:
+        return simulate_study(
+            opened.folder, participants=participants, seed=seed, now=opened.now, progress=step, warn=warn
+        )  # fmt: skip
 
 
 Word = TypeVar("Word", str, Path)
 
 
-def split_study(words: Sequence[Word], what: str) -> tuple[Word | None, Word]:
+def split_study(words: Sequence[Word], what: str) -> tuple[Path, Word]:
     """Split [STUDY] from what follows it."""
     if not 0 < len(words) <= 2:  # noqa: PLR2004 - a study and one more
         refuse_use(f"takes a study and {what}, got {len(words)} words")
-    return (words[0] if len(words) > 1 else None), words[-1]
+    return Path(words[0] if len(words) > 1 else "."), words[-1]
 
 
 # Output.
@@ -241,11 +238,10 @@ def report_warnings(recordings: Iterable["Recording"]) -> None:
 
 
 MOST_LINES = 20
+WHOLE = "--json lists all problems and warnings"
 
 
-def cap(
-    lines: Sequence[str], *, whole: str = "--json lists all problems and warnings"
-) -> list[str]:
+def cap(lines: Sequence[str], *, whole: str = WHOLE) -> list[str]:
     """Cut a long list of lines, and say how many there are more, and where."""
     left = len(lines) - MOST_LINES
     return [*lines[:MOST_LINES], *([f"and {left} more like these; {whole}"] if left > 0 else [])]
@@ -262,8 +258,8 @@ def lay_facts(facts: Mapping[str, Any], indent: str = "") -> Iterator[str]:
 
     for name, fact in (facts if indent else to_json_value(facts)).items():
         several = fact if isinstance(fact, list | tuple) else [fact]
-        if isinstance(several[0] if several else None, Mapping):
-            for one in several:
+        if several and isinstance(several[0], Mapping):
+            for one in filter(None, several):
                 yield f"{indent}{name}:"
                 yield from lay_facts(one, f"{indent}  ")
         elif fact not in (None, "", (), []):
@@ -276,14 +272,6 @@ def dump_json(entry: object) -> str:
     from feel321.records import to_json_value
 
     return json.dumps(to_json_value(entry), indent=2, ensure_ascii=False, allow_nan=False)
-
-
-def recording(study: "StudyFolder", verb: str, path: Path) -> AbstractContextManager[None]:
-    """Record what a verb writes outside the study's own places, so that a withdrawal finds it."""
-    from feel321.study.persons.withdrawal import recording_output
-    from feel321.study.session.journal import utc_now
-
-    return recording_output(study, verb, path, now=utc_now)
 
 
 def print_results(folder: Path, *, as_json: bool) -> None:
@@ -300,97 +288,4 @@ def is_terminal() -> bool:
 def wants_bar() -> bool:
     """Check whether a progress bar is wanted: on a terminal, unless nothing or each step is to be printed."""
     call = CALL.get()
-    return is_terminal() and not call.quiet and not call.verbose
-
-
-def show_progress(what: str) -> AbstractContextManager[Callable[[int, int], None]]:
-    """Show a progress bar on stderr, if that is a terminal."""
-    return follow(wants_bar(), what)
-
-
-# The help, in plain text, from the verbs' type hints and docstrings.
-
-COLUMN, NARROWEST, WIDEST = 34, 40, 100
-
-PROGRAM = (
-    ("--version", "Show the version."),
-    ("--install-completion", "Let this shell complete verbs and options."),
-)
-"""Options of no verb."""
-
-EVERYWHERE = (
-    ("-q, --quiet", "Only results and errors."),
-    ("-v, --verbose", "Print each step as it begins."),
-    ("-h, --help", "Show this text."),
-)
-"""Options of every verb."""
-
-KINDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH", bool: ""}
-"""Type of an option -> what stands behind its name."""
-
-
-def find_example(verb: object) -> str:
-    """Read the first example of a verb's docstring."""
-    return (inspect.getdoc(verb) or "").partition("Example: ")[2].partition("\n")[0]
-
-
-def describe_program(about: str, groups: Mapping[str, Mapping[str, object]]) -> str:
-    """Describe the program: its verbs by group."""
-    lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(about)]
-    lines += ["", "Options:", *_lay_rows([*PROGRAM, *EVERYWHERE])]
-    for title, verbs in groups.items():
-        texts = {name: inspect.getdoc(verb) or "" for name, verb in verbs.items()}
-        rows = [(name, text.partition("\n\n")[0]) for name, text in texts.items()]
-        lines += ["", f"{title}:", *_lay_rows(rows)]
-    return "\n".join([*lines, "", "  Begin with: feel321 demo"])
-
-
-def describe_verb(name: str, app: "App", verb: object) -> str:
-    """Describe a verb: what it does, its arguments and options, and an example."""
-    text = (inspect.getdoc(verb) or "").partition("\n\nParameters\n")[0]
-    *paragraphs, examples = text.split("\n\n")
-    found = app.assemble_argument_collection(parse_docstring=True)
-    places, rows = [], []
-    for one in (one for one in found if one.parse and not one.children):
-        if one.name.startswith("-"):
-            rows.append(_describe_option(one))
-        else:
-            is_several = one.field_info.kind is one.field_info.VAR_POSITIONAL
-            places.append(one.name if is_several or one.required else f"[{one.name}]")
-    lines = [f"Usage: feel321 {name} {' '.join([*places, '[OPTIONS]'])}"]
-    for paragraph in paragraphs:
-        lines += ["", *_fill(paragraph)]
-    lines += ["", "Options:", *_lay_rows([*rows, *EVERYWHERE])]
-    return "\n".join([*lines, "", *(f"  {line}" for line in examples.splitlines())])
-
-
-def _describe_option(argument: "Argument") -> tuple[str, str]:
-    """Name an option with what it takes, and say what it means."""
-    names = ", ".join(sorted(set(argument.names) - set(argument.negatives), key=len))
-    kind = argument.parameter.metavar or KINDS.get(resolve_optional(argument.hint), "NAME")
-    default, choices = argument.field_info.default, argument.get_choices()
-    notes = [f"one of {', '.join(choices)}"] if choices else []
-    if isinstance(default, int | float | str) and default not in {"", False}:
-        notes.append(f"default: {default}")
-    notes += ["required"] if argument.required else []
-    meaning = " ".join([argument.parameter.help or "", *(f"[{note}]" for note in notes)])
-    return f"{names} {kind}".rstrip(), meaning
-
-
-def _lay_rows(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
-    """Lay names beside their meanings, in two columns."""
-    column = min(max(len(name) for name, _ in rows) + 4, COLUMN)
-    for name, text in rows:
-        begin = f"  {name}"
-        if len(begin) + 2 > column:
-            yield begin
-            begin = ""
-        yield from _fill(text, first=f"{begin:<{column}}", rest=" " * column)
-
-
-def _fill(text: str, *, first: str = "  ", rest: str = "  ") -> list[str]:
-    columns = min(max(shutil.get_terminal_size().columns, NARROWEST), WIDEST)
-    words = " ".join(text.split())
-    return wrap(
-        words, columns, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False
-    )
+    return is_terminal() and not (call.quiet or call.verbose)

@@ -4,13 +4,12 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from functools import partial
-from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 from cyclopts import Parameter
 
+from feel321.doors import follow
 from feel321.study.commands import shared
 from feel321.study.commands.shared import (
     ALONE,
@@ -23,6 +22,7 @@ from feel321.study.commands.shared import (
     Reading,
     Seed,
     Several,
+    about,
 )
 from feel321.study.folder import StudyFolder, require_study
 
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 RATE_TOLERANCE_HZ = 1.0
 """A WAV header holds whole Hz only; a recording's true rate may lie between."""
 
+Chosen = TypeVar("Chosen")
+OWN = "(a wrong name lists all), or your own: methods/my321.py:my321"
 Raw = Annotated[bool, Parameter(help="As measured: no offset removed, all frequencies kept.")]
 
 
@@ -41,12 +43,11 @@ def reduce(  # noqa: PLR0913 - one per option
     recording: File,
     /,
     *,
-    reducer: Annotated[str, Parameter(metavar="NAME")],
-    output: Annotated[File, Parameter(name=["--out", "-o"])],
+    reducer: Annotated[str, about(f"The 321 transform {OWN}", metavar="NAME")],
+    out: Annotated[File, about("A .wav file; a JSON file goes beside it.", name=["--out", "-o"])],
     source: Reading = AS_IT_SAYS,
-    window_ms: Annotated[float | None, Parameter(metavar="MS")] = None,
     raw: Raw = False,
-    force: bool = False,
+    force: Annotated[bool, about("Replace the out if it exists.")] = False,
     as_json: Json = False,
 ) -> None:
     """Reduce a recording to one axis.
@@ -55,31 +56,21 @@ def reduce(  # noqa: PLR0913 - one per option
     m/s^2 with a JSON file that says how it was made.
 
     Example: feel321 reduce oak.csv --reducer dft321 -o oak-dft321.wav
-
-    Parameters
-    ----------
-    reducer
-        The 321 transform (a wrong name lists all), or one of your own: methods/my321.py:my321.
-    output
-        The .wav file; a JSON file goes beside it.
-    window_ms
-        Window of the reducers that have one.  [default: 35]
-    force
-        Replace the output if it exists.
     """
     from feel321 import __version__
     from feel321.doors import name_of
     from feel321.files import write_text
     from feel321.stimuli.condition import Conditioning
     from feel321.stimuli.wav import write_wav
+    from feel321.study.settings.read import open_reducer
 
-    reduce_it = _choose_reducer(reducer, window_ms)
-    if output.suffix.lower() != ".wav":
-        shared.refuse_use(f"--out must end in .wav, got {str(output)!r}; give it that ending")
-    read, sidecar = source.read(recording), output.with_suffix(".json")
-    _check_output(recording, output, sidecar, force=force)
+    reduce_it = _choose(open_reducer, reducer)
+    if out.suffix.lower() != ".wav":
+        shared.refuse_use(f"--out must end in .wav, got {str(out)!r}; give it that ending")
+    read, sidecar = source.read(recording), out.with_suffix(".json")
+    _check_output(recording, out, sidecar, force=force)
     steps = None if raw else Conditioning()
-    conditioned = _condition(read, steps)
+    conditioned, said = _condition(read, steps)
     method = getattr(reduce_it, "method", None)
     try:
         reduced = reduce_it(conditioned.acceleration, conditioned.rate_hz)
@@ -91,16 +82,15 @@ def reduce(  # noqa: PLR0913 - one per option
         "recording_sha256": read.sha256,
         "reducer": name_of(reducer),
         **(method.to_json() if method else {}),
-        "window_ms": window_ms,
         "unit": "m/s^2",
         "version": __version__,
-        **_list_steps(read, steps),
+        **said,
         **_match(conditioned, reduced),
     }
-    write_wav(output, reduced, round(read.rate_hz))
+    write_wav(out, reduced, round(read.rate_hz))
     write_text(sidecar, shared.dump_json(facts) + "\n")
     done = f"{read.name} through {name_of(reducer)}, {read.n_samples} samples, m/s^2"
-    shared.print_facts(facts, [f"{output}: {done}", *shared.lay_facts(facts)], as_json=as_json)
+    shared.print_facts(facts, [f"{out}: {done}", *shared.lay_facts(facts)], as_json=as_json)
 
 
 def match(
@@ -109,7 +99,7 @@ def match(
     /,
     *,
     source: Reading = AS_IT_SAYS,
-    metric: Several = (),
+    metric: Annotated[Several, about(f"Also this metric {OWN}; repeatable.")] = (),
     raw: Raw = False,
     as_json: Json = False,
 ) -> None:
@@ -119,53 +109,32 @@ def match(
     to 1000 Hz. The exit code is 1 if there is nothing to match; --json then holds null and the reason.
 
     Example: feel321 match oak.csv oak-dft321.wav --json
-
-    Parameters
-    ----------
-    metric
-        Also this metric (a wrong name lists all), or your own (mylab.haptics:psnr); repeatable.
     """
     from feel321.doors import name_of
     from feel321.stimuli.wav import read_wav
-    from feel321.study.methods import open_metric
+    from feel321.study.settings.read import open_metric
 
+    further = {name_of(name): _choose(open_metric, name) for name in metric}
     read = source.read(recording)
     samples, rate_hz = read_wav(reduced)
     _check_pair(read, samples, rate_hz=rate_hz, name=reduced.name)
     steps, origin = _find_steps(read, reduced.with_suffix(".json"), raw=raw)
-    ready = _condition(read, steps)
-    facts = {**_list_steps(read, steps), "conditioning_from": origin, **_match(ready, samples)}
-    further = {
-        name_of(name): open_metric(name, Path())(ready.acceleration, samples, ready.rate_hz)
-        for name in metric
-    }
-    facts |= further
+    ready, said = _condition(read, steps)
+    facts = {**said, "conditioning_from": origin, **_match(ready, samples)}
+    for name, measure in further.items():
+        facts[name] = measure(ready.acceleration, samples, ready.rate_hz)
     shared.print_facts(facts, shared.lay_facts(facts), as_json=as_json)
     if facts["reasons"]:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
         raise ValueError(f"{read.name}: {reasons}")
 
 
-def _choose_reducer(name: str, window_ms: float | None) -> "Callable[..., Samples]":
-    from feel321.stimuli.reducers.registry import REDUCERS
-    from feel321.study.methods import open_reducer
-
+def _choose(find: Callable[[str, Path], Chosen], name: str) -> Chosen:
+    """Find a method that was named on the command line; a wrong name is wrong use."""
     try:
-        chosen: Callable[..., Samples] = open_reducer(name, Path())
+        return find(name, Path())
     except ValueError as error:
         shared.refuse_use(str(error))
-    if window_ms is None:
-        return chosen
-    windowed = [
-        other for other, reducer in REDUCERS.items() if "window_s" in signature(reducer).parameters
-    ]
-    if name not in windowed:
-        shared.refuse_use(
-            f"--window-ms: {name} has no window; those with one: {', '.join(windowed)}"
-        )
-    if not 0 < window_ms < math.inf:
-        shared.refuse_use(f"--window-ms must be a finite time above 0 ms, got {window_ms:g}")
-    return partial(chosen, window_s=window_ms / 1000)
 
 
 def _check_output(source: Path, *targets: Path, force: bool) -> None:
@@ -182,23 +151,20 @@ def _check_output(source: Path, *targets: Path, force: bool) -> None:
         raise FileNotFoundError(f"{targets[0].parent}: there is no such folder; make it first")
 
 
-def _condition(recording: "Recording", steps: "Conditioning | None") -> "Recording":
-    from feel321.stimuli.condition import condition
-
-    try:
-        return recording if steps is None else condition(recording, steps)
-    except ValueError as error:
-        raise ValueError(
-            f"{recording.name}: {error}; or use it as it was measured, with --raw"
-        ) from None
-
-
-def _list_steps(recording: "Recording", steps: "Conditioning | None") -> dict[str, Any]:
-    from feel321.stimuli.condition import list_steps
+def _condition(
+    recording: "Recording", steps: "Conditioning | None"
+) -> "tuple[Recording, dict[str, Any]]":
+    """Condition a recording; also returns what is said of it."""
+    from feel321.stimuli.condition import condition, list_steps
 
     if steps is None:
-        return {"conditioning": None, "steps": []}
-    return {"conditioning": asdict(steps), "steps": list_steps(steps, recording.rate_hz)}
+        return recording, {"conditioning": None, "steps": []}
+    said = {"conditioning": asdict(steps), "steps": list_steps(steps, recording.rate_hz)}
+    try:
+        return condition(recording, steps), said
+    except ValueError as error:
+        remedy = "or use it as it was measured, with --raw"
+        raise ValueError(f"{recording.name}: {error}; {remedy}") from None
 
 
 def _find_steps(
@@ -230,9 +196,8 @@ def _find_steps(
     try:
         return Conditioning(**steps), origin
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{sidecar.name}: invalid conditioning ({error}); reduce the recording again"
-        ) from None
+        remedy = "reduce the recording again"
+        raise ValueError(f"{sidecar.name}: invalid conditioning ({error}); {remedy}") from None
 
 
 def _check_pair(recording: "Recording", samples: "Samples", *, rate_hz: int, name: str) -> None:
@@ -274,12 +239,12 @@ def _match(recording: "Recording", samples: "Samples") -> dict[str, Any]:
 
 def tradeoff(  # noqa: PLR0913 - one per option
     *places: Annotated[File, Parameter(name="[STUDY | RECORDING...]")],
-    scenes: bool = False,
-    thorough: bool = False,
-    online: bool = False,
-    latency_ms: Number | None = None,
-    mounting: Literal["any", "recorded"] = "any",
-    tolerance_db: Number | None = None,
+    scenes: Annotated[bool, about("Also the bundled scenes.")] = False,
+    thorough: Annotated[bool, about("Whole recordings, 72 mountings, hard scenes.")] = False,
+    online: Annotated[bool, about("The reducer runs while the vibration is made.")] = False,
+    latency_ms: Annotated[Number | None, about("Longest delay, with device. [default: 45]")] = None,
+    mounting: Annotated[Literal["any", "recorded"], about("Mountings that advice is for.")] = "any",
+    tolerance_db: Annotated[Number | None, about("Near enough to the best. [default: 1]")] = None,
     out: Out = None,
     seed: Seed = None,
     crew: Crew = ALONE,
@@ -291,21 +256,6 @@ def tradeoff(  # noqa: PLR0913 - one per option
 
     Example: feel321 tradeoff my-study
              feel321 tradeoff oak.csv pine.csv --online --latency-ms 45
-
-    Parameters
-    ----------
-    scenes
-        Also the bundled scenes.
-    thorough
-        Whole recordings, 72 mountings, and difficult scenes; many times as long.
-    online
-        The reducer runs while the vibration is made.
-    latency_ms
-        Longest delay online, device included, in ms.  [default: 45]
-    mounting
-        Mountings of the sensor that advice must hold for.
-    tolerance_db
-        How far from the best is as good, in dB of energy.  [default: 1]
     """
     from feel321.analysis.report.folder import check_target
     from feel321.analysis.tradeoff import judge
@@ -313,8 +263,9 @@ def tradeoff(  # noqa: PLR0913 - one per option
     from feel321.analysis.tradeoff.page import advise_tradeoff
     from feel321.stimuli.reducers.registry import REDUCERS
     from feel321.study.analyze import find_ratings, gather_recordings
-    from feel321.study.methods import list_for_tradeoff
-    from feel321.study.settings.read import read_settings
+    from feel321.study.persons.withdrawal import recording_output
+    from feel321.study.session.journal import utc_now
+    from feel321.study.settings.read import list_for_tradeoff, read_settings
 
     folder, extra = _find_places(places, scenes=scenes)
     try:
@@ -328,7 +279,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
     check_target(output)
     # Recordings that were named without a study belong to none, whatever the current folder is.
     study = StudyFolder(folder or output)
-    with shared.show_progress("tradeoff") as progress:
+    with follow(shared.wants_bar(), "tradeoff") as progress:
         recordings = gather_recordings(study.path, scenes=scenes, extra=extra)
         shared.report_warnings(recordings)
         settings = read_settings(study.settings) if study.settings.is_file() else None
@@ -346,7 +297,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
         )
         margin = settings.analysis.margin if settings else None
         result = advise_tradeoff(frame, context, ratings=find_ratings(study), margin=margin)
-    with shared.recording(study, "tradeoff", output):
+    with recording_output(study, "tradeoff", output, now=utc_now):
         result.write(output)
     if not as_json:
         shared.echo(result.summary())
@@ -362,6 +313,6 @@ def _find_places(places: Sequence[Path], *, scenes: bool) -> tuple[Path | None, 
     if len(studies) > 1:
         shared.refuse_use(f"name one study, got {', '.join(map(str, studies))}")
     for one in extra:
-        if not one.exists():
+        if not one.is_file():
             raise FileNotFoundError(f"{one}: no such study or recording; check the name")
     return (studies[0] if studies else None), extra

@@ -23,11 +23,10 @@ of the noise are the participant's own. In a lapse any answer is as likely as an
 - a *scale-reverser* takes the slider's ends for each other. A choice has no ends: there they are like anyone else.
 
 Everybody has a detection threshold, by frequency: that of a curve of the literature, shifted by an amount of the
-participant's own, half of whose variance is the same at all frequencies. Of two intervals they find the one that
-vibrated by the psychometric function of `protocols.threshold`; nothing else that they answer depends on it.
+participant's own, half of whose variance is the same at all frequencies. It decides nothing but the threshold block.
 
-Every draw depends on seed, participant, trial and attempt alone, so that an interrupted session that is resumed gives
-the answers of an uninterrupted one. The participants' clock adds up what stimuli, pages and answers take.
+Every draw depends on seed, participant, trial and attempt alone, so that a session that is resumed gives the answers of
+an uninterrupted one. The participants' clock adds up what stimuli, pages and answers take.
 """
 
 from __future__ import annotations

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.session.ports import Felt
 
-SIMULATED_TEXT = "simulated"
-"""The answer of simulated participants to a question that asks for a text."""
+SIMULATED_TEXT = "simulated"  # the answer to a question that asks for a text
 
 
 class Participant:

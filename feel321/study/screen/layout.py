@@ -13,12 +13,16 @@ from feel321.study.session.ports import Place
 
 COLUMN = 108.0  # width of texts and options, in units: some 65 letters
 
-TEXT_SIZES = (1.1 * ui.BODY, ui.BODY, ui.SMALL)
-"""Sizes of a page's text in units, the first that fits; below the last nobody could read it at 1 m."""
-
-CHOSEN, OPEN, FELT = "●", "○", "✓"
-"""Marks of options and of what was felt, which colour alone must not tell apart."""
-
+TEXT_SIZES = (
+    1.1 * ui.BODY,
+    ui.BODY,
+    ui.SMALL,
+)  # of a page, the first that fits; less is illegible at 1 m
+CHOSEN, OPEN, FELT = (
+    "●",
+    "○",
+    "✓",
+)  # of options and of what was felt: colour alone must not tell them apart
 FIELD = 40.0  # width of the field of a number, in units
 ROW, POINT = 6.6, 15.0  # heights of an option or a row, and of a Likert point, in units
 POINT_LINES = 3  # most lines of the word of a point
@@ -28,25 +32,19 @@ LABEL = 0.45  # largest width of a slider's label, as a share of the track
 SOON_S = 3  # from when on the time that is left for an answer stands out
 BELOW = 1.5  # free space under a picture, in units
 
-TIGHTEST = (1920, 1080)
-"""The screen that has the least room for its letters: as wide as it needs to be, and no higher."""
-
+TIGHTEST = (1920, 1080)  # the screen with the least room for its letters: as wide as it needs to be
+# In units: over a slider's track, its height, and free under it. Where a trial has several: the height of each, of its
+# track, and of the least picture beside them; the widths of what is free at its left, and of the number at its right.
 ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
-"""Heights of what stands over a slider's track, of the track, and of what is free under it, in units."""
-
 BLOCK, BLOCK_TRACK, LEAST_PICTURE = 15.0, 4.0, 12.0
-"""Heights, in units, of a slider where a trial has several, of its track, and of the least picture beside them."""
-
 MARGIN, VALUE = 2.5, 9.0
-"""Widths, in units, of what is free left of such a slider, and of the number at its right."""
 
 HINTS = {
     "slider": ("move", "coarse_rows", "digits"),
     "rows": ("feel", "loop", "choose", "move", "coarse_rows"),
     "scales": ("move", "coarse_rows", "digits"),
     "choice": ("pick",),
-}
-"""The keys that have no button, by kind of screen."""
+}  # the keys that have no button, by kind of screen
 
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:

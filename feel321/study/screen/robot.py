@@ -139,7 +139,12 @@ class PressingHand(Hand):
         """Feel what was not felt, answer what was not answered, confirm; empty to wait."""
         if unfelt := [part.name for part in trial.parts if part.name not in view.felt]:
             # Its own key where parts are felt at will, elsewhere all are felt again.
-            return self._feel_row(view, unfelt[0]) if view.kind == "rows" else "again"
+            action = f"{PLAY}{unfelt[0]}" if unfelt[0].isdigit() else "reference"
+            if view.kind != "rows" or (
+                view.selected == unfelt[0] and not self._keys.find_key(action)
+            ):
+                return "again"
+            return action if self._keys.find_key(action) else _go_to_row(view, unfelt[0])
         if not self._values and view.scale is not None:
             own = Experience(trial, {}, self._tones, self._levels_db)
             is_own = bool(self._tones or self._levels_db)
@@ -152,12 +157,6 @@ class PressingHand(Hand):
                 return self._move_marker(view, key, round(value))
         # After a marker was moved, it is another vibration.
         return "again" if trial.protocol == MATCHING and self._felt != view.markers else "next"
-
-    def _feel_row(self, view: View, part: str) -> str:
-        action = f"{PLAY}{part}" if part.isdigit() else "reference"
-        if self._keys.find_key(action):
-            return action
-        return "again" if view.selected == part else _go_to_row(view, part)
 
     def _move_marker(self, view: View, part: str, target: int) -> str:
         """Find what brings a marker nearer to a value."""

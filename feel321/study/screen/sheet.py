@@ -19,12 +19,13 @@ from feel321.protocols.trial import RATING_RANGE
 
 GROUND, INK = "#14171c", "#f4f4f2"  # light on dark tires less in a dim room
 PANEL, LINE, DIM = "#20252d", "#4a515c", "#b3b8c0"
-BLUE, ORANGE = "#56b4e9", "#e69f00"
-"""Okabe and Ito's hues, which every kind of colour vision can distinguish; neither is the only sign of anything."""
-
-BODY, SMALL, QUESTION, TITLE = 3.0, 2.8, 4.0, 5.6
-"""Sizes of letters (em) in units; at 1 m nothing may be smaller than 2.2 % of the screen's height."""
-
+BLUE, ORANGE = "#56b4e9", "#e69f00"  # Okabe and Ito's hues, for every kind of colour vision
+BODY, SMALL, QUESTION, TITLE = (
+    3.0,
+    2.8,
+    4.0,
+    5.6,
+)  # sizes of letters (em) in units; at 1 m at least 2.2
 FONT = "DejaVu Sans"
 LEADING = 1.3  # height of a line of text, in heights of its letters (em)
 SLACK = 1.04  # factor by which the window's text engine may set a line wider: whole pixels

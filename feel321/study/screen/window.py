@@ -254,7 +254,29 @@ def open_screen(
 
     clock: gives the time in s since the session began; size: of a window, in pixels; screen: which screen, from 0.
     """
-    handle = _open_handle(windowed=windowed, size=size or WINDOW_SIZE, screen=screen)
+    with _needing_display():
+        from psychopy import logging, monitors, visual  # looks for a display already here
+
+        # It warns of what is meant: no monitor is calibrated.
+        logging.console.setLevel(logging.ERROR)
+        handle = visual.Window(
+            size=size or WINDOW_SIZE,
+            fullscr=not windowed,
+            screen=screen,
+            winType="pyglet",
+            allowGUI=windowed,
+            units="pix",
+            monitor=monitors.Monitor("feel321", width=60, distance=100),
+            color=sheet.GROUND,
+            checkTiming=False,
+            # Nearly all edges are straight, and where a processor draws it doubles a frame's time.
+            multiSample=False,
+        )
+    from pyglet import font
+
+    for file in sheet.find_font_files():
+        font.add_file(str(file))
+    handle.mouseVisible = True
     with hold_signals() as deliver_signals:
         window = Window(handle, clock, deliver_signals)
         try:
@@ -273,33 +295,6 @@ def check_screen(screen: int) -> None:
     if screen not in range(len(monitors)):
         listed = ", ".join(f"{n} ({one.width} x {one.height})" for n, one in enumerate(monitors))
         raise ValueError(f"--screen must be one of the monitors found: {listed}; got {screen}")
-
-
-def _open_handle(*, windowed: bool, size: tuple[int, int], screen: int) -> Foreign:
-    with _needing_display():
-        from psychopy import logging, monitors, visual  # looks for a display already here
-
-        # It warns of what is meant: no monitor is calibrated.
-        logging.console.setLevel(logging.ERROR)
-        handle = visual.Window(
-            size=size,
-            fullscr=not windowed,
-            screen=screen,
-            winType="pyglet",
-            allowGUI=windowed,
-            units="pix",
-            monitor=monitors.Monitor("feel321", width=60, distance=100),
-            color=sheet.GROUND,
-            checkTiming=False,
-            # Nearly all edges are straight, and where a processor draws it doubles a frame's time.
-            multiSample=False,
-        )
-    from pyglet import font
-
-    for file in sheet.find_font_files():
-        font.add_file(str(file))
-    handle.mouseVisible = True
-    return handle
 
 
 @contextmanager

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 Keep = Callable[[str, int, float | str | None], str]
 """Keeps a personal answer (question, occasion, value) apart, and returns its salted digest."""
 
-LOST_IN_A_ROW = 2
-"""Trials that the device lost in a row, after which the experimenter is called, and again after each one more."""
-
+LOST_IN_A_ROW = (
+    2  # trials that the device lost, after which the experimenter is called, and after each more
+)
 BROKEN = (
     "the device failed twice in a row; check it, then resume"  # while the experimenter is called
 )
@@ -41,21 +41,6 @@ TOLD_S = (
     1.0  # for which the page that time was up stays: a key that came too late must not take it away
 )
 LATE_S = 0.1  # a trial that begins so much after it was due moves the schedule
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """The end of a session: trials of the main phase that were answered, given up, and all; why it ended early."""
-
-    answered: int
-    total: int
-    stopped: str = ""
-    given_up: int = 0
-
-    @property
-    def done(self) -> int:
-        """Trials that need no further attempt."""
-        return self.answered + self.given_up
 
 
 class Stopped(Exception):  # noqa: N818 - nothing went wrong
@@ -75,11 +60,11 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
     scales: Mapping[str, Scale] | None = None,
     on_step: Callable[[Place], None] = lambda _: None,
     keep: Keep | None = None,
-) -> Outcome:
+) -> Place:
     """Present all trials that are not done yet; where the session was broken off, the same call goes on.
 
     scales: texts by name of scale, English by default. on_step: called with the progress at the opening and after every
-    page and trial. keep: keeps personal answers apart from the journal.
+    page and trial. keep: keeps personal answers apart. Returns how far it came, and why it ended early.
     """
     scales = read_scales() if scales is None else scales
     by_code, stopped = list_by_code(stimuli, seed=plan.seed), ""
@@ -97,7 +82,7 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
             journal.write(events.SessionAborted(words, journal.records.find_elapsed()))
         raise
     agenda = session.agenda
-    return Outcome(agenda.answered, agenda.total, stopped, agenda.given_up)
+    return Place(agenda.answered, agenda.total, given_up=agenda.given_up, stopped=stopped)
 
 
 def find_choices(protocol: str) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from typing import Any
 
 from pydantic_core import from_json
 
-from feel321.files import create_file, write_bytes
+from feel321.files import create_file, sync_folder, write_bytes
 from feel321.study.session import events
 from feel321.study.session.events import SessionEvent
 
@@ -31,12 +31,8 @@ Clock = Callable[[], datetime]
 
 START = "0" * 64  # in the first line, for the digest of the line before
 
-PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")
-"""Allowed codes of participants: they name folders."""
-
-SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")
-"""Names of the journals in a participant's folder; copies under other names are none."""
-
+PARTICIPANT_ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]*")  # allowed codes: they name folders
+SESSION_FILE = re.compile(r"session-(\d{2,})\.jsonl")  # copies under other names are no journals
 _APPEND = os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0)
 _FIELDS = {"sequence": int, "previous": str, "utc": str, "event": str, "data": dict}
 
@@ -209,6 +205,7 @@ def create_journal(path: Path, *, now: Clock) -> Journal:
     """Begin a journal, of which the folder must exist; a file that is there is refused and left alone."""
     try:
         create_file(path, private=True)
+        sync_folder(path.parent)
     except FileExistsError:
         raise FileExistsError(f"{path}: already exists; not overwritten, resume it") from None
     return Journal(path, now)

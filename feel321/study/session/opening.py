@@ -24,17 +24,14 @@ if TYPE_CHECKING:
 
 JOURNAL_FORMAT = 1  # in the header of a journal
 
-FROZEN_FILE = "frozen.json"
-"""What was decided before the ratings, in the study's folder (`feel321 freeze`)."""
-
+FROZEN_FILE = (
+    "frozen.json"  # what was decided before the ratings, in the study's folder (`feel321 freeze`)
+)
+# Of a header and a later opening: may not even differ where nobody has done anything yet; may differ, for other
+# versions may go on with a session and choices be amended; may differ where somebody accepts it: a rig is repaired.
 PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
-"""May not even differ where nobody has done anything yet."""
-
 UNCOMPARED = ("format", "session", "versions", "system", "clock", "frozen")
-"""May differ between a header and a later opening: other versions may go on with a session, and choices be amended."""
-
 ACCEPTABLE = ("presenter.rig", "calibration")
-"""May differ where somebody accepts it: a rig may have to be repaired in mid-study."""
 
 _OPENING = {kind.event for kind in events.OPENING}
 _UNTOUCHED = {kind.event for kind in events.UNTOUCHED}
@@ -166,7 +163,15 @@ class _Opening:
             return True  # Another rig, say, does no harm: nobody has done anything yet.
         is_rig = all(name.startswith(ACCEPTABLE) for name in names)
         if not (is_rig and accept_rig):
-            raise ValueError(_describe_refusal(journal.path, begun, differences, is_rig=is_rig))
+            texts = "other texts for participants"
+            named = [texts if line.startswith("texts_sha256 ") else line for line in differences]
+            former, own = begun.versions.get("feel321"), version("feel321")
+            use = "" if former == own else f" or use feel321 {former}, which began it"
+            accept = "go on with the rig as it is now (--accept-rig, which records it), "
+            raise ValueError(
+                f"{journal.path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, "
+                f"{accept if is_rig else ''}begin with another participant, or move {self.folder.parent.name}/ away"
+            )
         if not journal.records.has(events.SessionFinished):
             rig = header.get("presenter", {}).get("rig")
             journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
@@ -178,21 +183,6 @@ def _describe_opening(journal: Journal) -> tuple[dict[str, str], str, dict[str, 
     versions = {name: version(name) for name in ("feel321", "numpy", "scipy")}
     clock = {"presenter_s": journal.records.find_elapsed()}
     return {"python": python_version(), **versions}, platform(), clock
-
-
-def _describe_refusal(
-    path: Path, begun: events.SessionBegun, differences: list[str], *, is_rig: bool
-) -> str:
-    """Say why a session cannot be resumed, and what to do."""
-    texts = "other texts for participants"
-    named = [texts if line.startswith("texts_sha256 ") else line for line in differences]
-    former, own = begun.versions.get("feel321"), version("feel321")
-    use = "" if former == own else f" or use feel321 {former}, which began it"
-    accept = "go on with the rig as it is now (--accept-rig, which records it), " if is_rig else ""
-    return (
-        f"{path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, {accept}"
-        f"begin with another participant, or move {path.parent.parent.name}/ away"
-    )
 
 
 def find_differences(

@@ -142,6 +142,7 @@ class Place:
 
     attempt: at the trial or question, from 1. fault: what the device says while the experimenter is called. notice:
     what is wrong with the rig, though trials count; said once. left_s: about how long the rest of the session takes.
+    stopped: why it ended early.
     """
 
     answered: int
@@ -151,6 +152,7 @@ class Place:
     fault: str = ""
     notice: str = ""
     left_s: float | None = None
+    stopped: str = ""
 
     @property
     def done(self) -> int:

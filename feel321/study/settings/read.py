@@ -4,29 +4,33 @@ import hashlib
 import json
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, replace
 from difflib import get_close_matches
+from inspect import signature
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 from feel321 import intake
 from feel321.doors import describe, name_of, refuse_name
-from feel321.extensions import Method, find_method, is_given
+from feel321.extensions import FORMS, Method, find_method, is_given, list_entry_points
 from feel321.files import create_text, make_folder, temporary_folder, write_text
 from feel321.names import METRIC_INFO, WRITTEN
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import MODEL, Question, read_ready, read_texts
+from feel321.protocols.threshold import MatchingBlock
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.formats.read import read_recording
+from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, check_names
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import admission
-from feel321.study.folder import TEMPLATES, StudyFolder
+from feel321.study.folder import SETTINGS_FILE, TEMPLATES, StudyFolder
 from feel321.study.session.journal import digest
 from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
@@ -39,7 +43,9 @@ from feel321.study.settings.schema import (
     Settings,
     TaskTable,
 )
+from feel321.types import Metric, Reducer
 
+NO_METHODS = (ORIGINAL, NO_REFERENCE)
 MOST_TRIALS = 10_000
 """Trials in a session; people do a few hundred, simulated participants somewhat more."""
 
@@ -50,7 +56,7 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     Protocols and metrics of the lab's own have their short names in it.
     """
     settings = parse_toml(path, Settings)
-    session, home = settings.session, folder or path.parent
+    home = folder or path.parent
     entries: list[RecordingTable] = []
     for number, entry in enumerate(settings.recordings, start=1):
         try:
@@ -59,47 +65,30 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
             raise ValueError(f"{path.name}: recordings[{number}].files {error}") from None
     try:
         check_names([entry.title for entry in entries])
-        names = admission.admit_protocols(session.protocols, home)
+        names = admission.admit_protocols(settings.session.protocols, home)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: {error}") from None
-    name = settings.study.name or home.resolve().name
-    settings = settings.model_copy(
-        update={
-            "study": settings.study.model_copy(update={"name": name}),
-            "recordings": tuple(entries),
-            "session": session.model_copy(update={"protocols": names}),
-        }
-    )
-    settings = _declare_metrics(settings)
-    if mistakes := find_conflicts(settings):
-        raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
-    return settings
-
-
-def _declare_metrics(settings: Settings) -> Settings:
-    """Let a build measure the metrics that only the analysis names, which knows all by their short names."""
+    # A build measures the metrics that only the analysis names, which knows all by their short names.
     wanted, measured = settings.analysis.metrics, settings.stimuli.metrics
     coded = {name: one.use for name, one in settings.metrics.items() if one.use or one.command}
     known = {*measured, *map(name_of, measured), *(coded.get(name) for name in measured), *WRITTEN}
     lacking = [name for name in wanted if name not in known]
     new = [name for name in lacking if name in METRICS or is_given("metric", name, coded)]
-    short = tuple(dict.fromkeys(map(name_of, wanted)))
-    tables = {
-        "stimuli": settings.stimuli.model_copy(update={"metrics": (*measured, *new)}),
-        "analysis": settings.analysis.model_copy(update={"metrics": short}),
+    own: dict[str, dict[str, Any]] = {
+        "study": {"name": settings.study.name or home.resolve().name},
+        "session": {"protocols": names},
+        "stimuli": {"metrics": (*measured, *new)},
+        "analysis": {"metrics": tuple(dict.fromkeys(map(name_of, wanted)))},
     }
-    return settings.model_copy(update=tables)
+    tables = {name: getattr(settings, name).model_copy(update=one) for name, one in own.items()}
+    settings = settings.model_copy(update={**tables, "recordings": tuple(entries)})
+    if mistakes := find_conflicts(settings):
+        raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
+    return settings
 
 
 def change_settings(text: str, changes: Mapping[str, object]) -> str:
-    r"""Change settings by their dotted names; None takes a setting out, so that its default holds.
-
-    Examples
-    --------
-    >>> print(change_settings("[rig]\nheadroom = 0.9  # of full scale", {"rig.headroom": 0.5}))
-    [rig]
-    headroom = 0.5  # of full scale
-    """
+    """Change settings by their dotted names; None takes a setting out, so that its default holds."""
     import tomlkit
 
     document = tomlkit.parse(text)
@@ -167,9 +156,6 @@ def add_methods(study: StudyFolder) -> None:
     write_text(study.settings, text + tables)
 
 
-# From settings to signals: recordings and the recipe for the stimuli.
-
-
 def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
     """List the surfaces that participants touch or see, by the names of their recordings."""
     return {
@@ -188,24 +174,27 @@ def list_origins(settings: Settings) -> dict[str, str]:
 
 def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
     """Read every recording of a study; all that cannot be read are named at once."""
-    recordings: list[Recording] = []
-    mistakes: list[str] = []
+    found = [one for _, one in try_recordings(settings, folder)]
+    if mistakes := [one for one in found if isinstance(one, str)]:
+        raise ValueError("\n".join(mistakes))
+    return [one for one in found if isinstance(one, Recording)]
+
+
+def try_recordings(settings: Settings, folder: Path) -> Iterator[tuple[Unread, Recording | str]]:
+    """Read each recording of a study in turn; gives its fault instead where it cannot be read."""
     for source in list_unread(settings, folder):
         try:
-            recordings.append(source.read())
+            yield source, source.read()
         except (OSError, TypeError, ValueError) as error:
-            mistakes.append(f"recording {source.name!r}: {error}")
-    if mistakes:
-        raise ValueError("\n".join(mistakes))
-    return recordings
+            yield source, f"recording {source.name!r}: {error}"
 
 
 def list_unread(settings: Settings, folder: Path) -> list[Unread]:
     """List the recordings of a study as they are to be read."""
-    return [Unread(entry.title, open_entry, (entry, folder)) for entry in settings.recordings]
+    return [Unread(entry.title, _open_entry, (entry, folder)) for entry in settings.recordings]
 
 
-def open_entry(entry: RecordingTable, folder: Path) -> Recording:
+def _open_entry(entry: RecordingTable, folder: Path) -> Recording:
     """Read a recording as its table says."""
     path = folder / (entry.file or "")
     own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
@@ -218,10 +207,7 @@ def open_entry(entry: RecordingTable, folder: Path) -> Recording:
 
 
 def turn_recording(recording: Recording, rotation: int) -> Recording:
-    """Turn a recording, before any other step, as if its sensor had been mounted in another orientation.
-
-    The number seeds an orientation uniform over all rotations: the same number turns every recording alike.
-    """
+    """Turn a recording as if its sensor had been mounted in another orientation, which the number seeds."""
     import numpy as np
 
     from feel321.stimuli.rotation import random_rotations
@@ -233,10 +219,7 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
 
 
 def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
-    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name.
-
-    folder: of the study, where files of its own reducers and metrics are; the current one if left out.
-    """
+    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
     stimuli = settings.stimuli.model_dump(exclude={"conditioning", "below_threshold"})
     own = {
         "reducers": [find_reducer(settings, name, folder) for name in settings.stimuli.reducers],
@@ -248,26 +231,91 @@ def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
     return Recipe(conditioning=steps, **(stimuli | own), **rig, seed=seed)
 
 
+# Reducers and metrics of the lab's own, by the names that settings and the command line use.
+
+
 def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
     """Find one of the lab's own reducers; a name of feel321's stays a name."""
-    declared = {key: table.to_facts() for key, table in settings.reducers.items()}
-    if name in {*REDUCERS, ORIGINAL, NO_REFERENCE}:
+    if name in REDUCERS or name in NO_METHODS:
         return name
+    declared = {key: table.to_facts() for key, table in settings.reducers.items()}
     return find_method("reducer", name, taken=REDUCERS, folder=folder, declared=declared)
 
 
 def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Method:
     """Find one of the lab's own metrics; a name of feel321's stays a name."""
-    declared = {key: table.to_facts() for key, table in settings.metrics.items()}
     if name in METRICS:
         return name
+    declared = {key: table.to_facts() for key, table in settings.metrics.items()}
     return find_method("metric", name, taken=METRICS, folder=folder, declared=declared)
 
 
-# From settings to sessions: texts, design, and what a journal's header says of them.
+def open_reducer(name: str, folder: Path) -> Reducer:
+    """Open a reducer: feel321's, or one of the study in a folder, of its files, or of an installed package."""
+    settings = _read_if_there(folder)
+    if name in NO_METHODS:
+        allowed = (*REDUCERS, *settings.reducers)
+        raise ValueError(f"{refuse_name(name, allowed, 'reducer')}; {FORMS}")
+    found = find_reducer(settings, name, folder)
+    return REDUCERS[name] if isinstance(found, str) else OwnReducer(found)
 
-CONSENT = "consent"
-"""The page whose text a lab can set by itself."""
+
+def open_metric(name: str, folder: Path) -> Metric:
+    """Open a metric likewise."""
+    found = find_metric(_read_if_there(folder), name, folder)
+    return METRICS[name] if isinstance(found, str) else OwnMetric(found)
+
+
+def open_method(name: str, folder: Path, kind: str | None = None) -> Method:
+    """Open one of the lab's own methods; without a kind, a metric is what takes three arguments."""
+    settings = _read_if_there(folder)
+    if kind is None and name not in settings.reducers:
+        takes_pair = name in settings.metrics or name in list_entry_points("metric")
+        if ":" in name and not takes_pair:
+            own = find_method("reducer", name, folder=folder)
+            with suppress(ValueError, TypeError):  # whatever is wrong with it is found again
+                takes_pair = len(signature(own.load()).parameters) == 3  # noqa: PLR2004 - and the rate
+        kind = "metric" if takes_pair or name in METRICS else None
+    found = (find_metric if kind == "metric" else find_reducer)(settings, name, folder)
+    if isinstance(found, str):
+        raise ValueError(f"{name} is feel321's own; name a reducer or metric of yours")  # noqa: TRY004
+    return found
+
+
+def _read_if_there(folder: Path) -> Settings:
+    path = folder / SETTINGS_FILE
+    there = path.is_file()
+    return read_settings(path) if there else Settings(recordings=(RecordingTable(scene="bumps"),))
+
+
+def list_methods(settings: Settings, folder: Path) -> list[Method]:
+    """List the lab's own reducers and metrics that a study uses or declares."""
+    stimuli = settings.stimuli
+    reducers = dict.fromkeys((*stimuli.reducers, stimuli.reference, *settings.reducers))
+    # Tables without code say what a column means.
+    declared = [name for name, table in settings.metrics.items() if table.use or table.command]
+    found = [find_reducer(settings, name, folder) for name in reducers]
+    metrics = dict.fromkeys((*stimuli.metrics, *declared))
+    found += [find_metric(settings, name, folder) for name in metrics]
+    return list({(one.kind, one.name): one for one in found if not isinstance(one, str)}.values())
+
+
+def list_for_tradeoff(
+    settings: Settings, folder: Path
+) -> tuple[dict[str, Reducer], dict[str, Metric]]:
+    """List the lab's own reducers, but those made elsewhere, which reduce nothing else; and metrics beside ours."""
+    asked = [name for name in settings.stimuli.metrics if name in METRICS and name not in WRITTEN]
+    metrics: dict[str, Metric] = {name: METRICS[name] for name in asked}
+    reducers: dict[str, Reducer] = {}
+    for one in list_methods(settings, folder):
+        if one.kind == "metric":
+            metrics[one.name] = OwnMetric(one)
+        elif one.origin != "made":
+            reducers[one.name] = OwnReducer(one)
+    return reducers, metrics
+
+
+CONSENT = "consent"  # the page whose text a lab can set by itself
 
 
 def find_language(settings: Settings, folder: Path) -> str | Path:
@@ -290,15 +338,11 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
 
 
 def make_design(settings: Settings, folder: Path | None = None) -> Design:
-    """Make the design: all that a study decides about the sessions of its participants.
-
-    folder: that of the study, where a file of its own may hold the texts of ready questions.
-    """
+    """Make the design of the sessions; a file in the study's folder may hold the texts of ready questions."""
     session = settings.session
-    rehearsal = session.rehearsal.model_dump(by_alias=True)
-    rounds = {name: rehearsal.pop(name) for name in ("training", "practice")}
+    rehearsal, breaks, matching = session.rehearsal, session.breaks, session.matching
+    rounds = {"training": rehearsal.training, "practice": rehearsal.practice}
     tables = {name: settings.tasks.get(name, TaskTable()) for name in session.protocols}
-    breaks, quality = session.breaks.model_dump(by_alias=True), session.quality.model_dump()
     questions: list[Question] = []
     for table in session.questions:
         if table.use:
@@ -314,9 +358,20 @@ def make_design(settings: Settings, folder: Path | None = None) -> Design:
         recordings_per_participant=session.recordings_per_participant,
         tasks=tuple(table.make_task(name, **rounds) for name, table in tables.items()),
         between=dict(settings.between),
-        flow=Flow(**rehearsal, **breaks, **quality),
+        flow=Flow(
+            training_pass=rehearsal.pass_share,
+            training_rounds=rehearsal.rounds,
+            break_trials=breaks.every_trials,
+            break_min=breaks.every_min,
+            break_s=breaks.break_s,
+            rest_s=breaks.rest_s,
+            **session.quality.model_dump(),
+        ),
         threshold=session.threshold.make_block() if session.threshold else None,
-        matching=session.matching.make_block(settings.stimuli.levels) if session.matching else None,
+        # The last of the set's levels is matched where none is named.
+        matching=MatchingBlock(matching.level or settings.stimuli.levels[-1], matching.repeats)
+        if matching
+        else None,
         questions=tuple(questions),
     )
 
@@ -328,10 +383,7 @@ def make_identity(
     *,
     calibration: dict[str, str] | str | None = None,
 ) -> dict[str, Any]:
-    """List what must not change within a session besides its plan, for the header of its journal.
-
-    calibration: identity of the rig's certificate, or that there is none; None where no rig plays.
-    """
+    """List what must not change within a session besides its plan, for the header of its journal."""
     texts = read_study_texts(settings, folder)
     methods = {one.name: one.sha256 for one in make_recipe(settings, folder).methods}
     methods |= digest_protocols(settings.session.protocols)
@@ -355,38 +407,29 @@ def make_terms(design: Design, settings: Settings, folder: Path) -> dict[str, An
     return own | {name: identity.get(name) for name in ("locale", "texts_sha256", "rig", "methods")}
 
 
-# What each table of `study.toml` may say by itself, but not together with the others.
-
-
 def find_conflicts(settings: Settings) -> list[str]:
     """Find settings that do not go together."""
     # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
-    checks = (
-        _check_methods, _check_metrics, _check_stimuli, _check_tasks, _check_scales, _check_between,
-    )  # fmt: skip
+    checks = (_check_methods, _check_stimuli, _check_tasks)
     if found := [line for check in checks for line in check(settings)]:
         return found
-    tasks = make_design(settings).tasks
-    return list(dict.fromkeys(_check_comparisons(settings, tasks))) or list(
-        _check_length(settings, tasks)
-    )
+    groups = list(_list_groups(settings))
+    found = list(dict.fromkeys(_check_comparisons(settings, groups)))
+    return found or list(_check_length(settings, groups))
 
 
 def _check_methods(settings: Settings) -> Iterator[str]:
-    """Refuse tables that would replace a method of feel321's: they would be left unread."""
-    taken = {"reducers": {*REDUCERS, ORIGINAL, NO_REFERENCE}, "metrics": METRICS}
-    for kind, names in taken.items():
-        for name, table in getattr(settings, kind).items():
-            if name in names and (kind == "reducers" or table.use or table.command):
-                yield f"{kind}.{name}: the name is taken by one of feel321's own; give yours another"
+    """Refuse unknown metrics, and tables that would replace a method of feel321's: they would be left unread."""
+    coded = [name for name, one in settings.metrics.items() if one.use or one.command]
+    own = [
+        ("reducers", name) for name in settings.reducers if name in REDUCERS or name in NO_METHODS
+    ]
+    for kind, name in (*own, *(("metrics", name) for name in coded if name in METRICS)):
+        yield f"{kind}.{name}: the name is taken by one of feel321's own; give yours another"
     for name, table in settings.metrics.items():
-        if name in METRIC_INFO and table.higher not in {None, METRIC_INFO[name].higher}:
-            right = METRIC_INFO[name].higher
+        if name in METRIC_INFO and table.higher not in {None, (right := METRIC_INFO[name].higher)}:
             yield f"metrics.{name}.higher must be {right!r} for this metric, got {table.higher!r}; remove it"
-
-
-def _check_metrics(settings: Settings) -> Iterator[str]:
-    """Refuse unknown names of further metrics; a lab's own is not imported yet."""
+    # A lab's own is not imported yet.
     further = [name for name in METRICS if name not in WRITTEN]
     for number, name in enumerate(settings.stimuli.metrics, start=1):
         if name in WRITTEN:
@@ -419,12 +462,18 @@ def _check_tasks(settings: Settings) -> Iterator[str]:
             except ValueError as error:
                 faults.append(str(error))
         yield from dict.fromkeys(faults[:-1] or faults)
-
-
-def _check_scales(settings: Settings) -> Iterator[str]:
-    """Check that every scale has its words; those in a file of the lab's own are found when it is read."""
+    # Words in a file of the lab's own are found when it is read.
     if not settings.session.language.endswith(LANGUAGE_FILE):
         yield from _find_mute_scales(settings, read_texts(settings.session.language)["scales"])
+    places = {
+        "level": ("stimuli.levels", settings.stimuli.levels),
+        "protocol": ("session.protocols", settings.session.protocols),
+    }
+    for factor, (place, allowed) in places.items():
+        for name in settings.between.get(factor, ()):
+            if name not in allowed:
+                rule = f"must be one of {', '.join(allowed)}, got {name!r}"
+                yield f"between.{factor} {rule}; or add it to {place}"
 
 
 def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[str]:
@@ -442,20 +491,12 @@ def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[
             yield f"tasks.{task}.scales: {name!r} has no words; {remedy}"
 
 
-def _check_between(settings: Settings) -> Iterator[str]:
-    places = {
-        "level": ("stimuli.levels", settings.stimuli.levels),
-        "protocol": ("session.protocols", settings.session.protocols),
-    }
-    for factor, (place, allowed) in places.items():
-        for name in settings.between.get(factor, ()):
-            if name not in allowed:
-                rule = f"must be one of {', '.join(allowed)}, got {name!r}"
-                yield f"between.{factor} {rule}; or add it to {place}"
+Group = tuple[tuple[Item, ...], tuple[Task, ...]]  # what its participants feel, and do
 
 
-def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
+def _check_comparisons(settings: Settings, groups: list[Group]) -> Iterator[str]:
     """Check that surfaces have names, and that the stimuli to be built are what the tasks need."""
+    tasks = dict.fromkeys(task for _, own in groups for task in own)
     on_surfaces = [task.protocol for task in tasks if task.surface or task.reference == SURFACE]
     for number, recording in enumerate(settings.recordings, start=1):
         if on_surfaces and not recording.sample:
@@ -463,7 +504,7 @@ def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[
                 f"recordings[{number}].sample: missing, but participants touch the real surface in "
                 f"{' and '.join(on_surfaces)}; add the name that it has in the lab"
             )
-    for items, own in _list_groups(settings, tasks):
+    for items, own in groups:
         for task in own:
             try:
                 PROTOCOLS[task.protocol].make_lessons(items, task)
@@ -472,7 +513,7 @@ def _check_comparisons(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[
                 yield f"tasks.{task.protocol}: {error}"
 
 
-def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
+def _check_length(settings: Settings, groups: list[Group]) -> Iterator[str]:
     """Count the trials of each group, which are as many for each recording."""
     everything, share = len(settings.recordings), settings.session.recordings_per_participant
     if share and share > everything:
@@ -483,7 +524,7 @@ def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
     repeats = settings.session.repeats
     trials = max(
         sum(len(PROTOCOLS[task.protocol].compare(items, task)) for task in own)
-        for items, own in _list_groups(settings, tasks)
+        for items, own in groups
     ) * (repeats * (share or everything))
     if trials > MOST_TRIALS:
         yield (
@@ -493,13 +534,12 @@ def _check_length(settings: Settings, tasks: tuple[Task, ...]) -> Iterator[str]:
         )
 
 
-def _list_groups(
-    settings: Settings, tasks: tuple[Task, ...]
-) -> Iterator[tuple[tuple[Item, ...], tuple[Task, ...]]]:
+def _list_groups(settings: Settings) -> Iterator[Group]:
     """List the stimuli, as built from the first recording, and the tasks of the groups that differ in them."""
     from feel321.stimuli.sets.recipe import ANCHORS
 
     stimuli, recording = settings.stimuli, settings.recordings[0].title
+    tasks = make_design(settings).tasks
     made = [(name_of(name), "test") for name in stimuli.reducers]
     made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
     made += [(name, "anchor") for name in ANCHORS] * stimuli.anchors

@@ -1,7 +1,6 @@
 """The schema of `study.toml`: every table, key and default. The tables are closed and frozen.
 
-Names of reducers, scenes, protocols, levels, units and languages are those of the registries. A setting that the
-stimuli or the protocols know under another name has that name as its `serialization_alias`.
+Names of reducers, scenes, protocols, levels, units and languages are those of the registries.
 """
 
 import math
@@ -40,10 +39,8 @@ from feel321.study.settings import fields as kinds
 from feel321.study.settings.about import ObserverTable, PaperTable, PublicationTable
 
 _FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
-_BLOCK, _MATCHING = ThresholdBlock("bayesian", (), USUAL), MatchingBlock("")
+_BLOCK = ThresholdBlock("bayesian", (), USUAL)
 """What the floors below do where nothing is asked for: their defaults are the study's."""
-
-# Factors in which participants differ.
 
 MOST_GROUPS = 64
 """A balanced design wants several participants in each group; more groups than this are a slip."""
@@ -52,7 +49,7 @@ TAKEN = {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS, *RATING_COLUMNS} - set
 """Names of columns: a factor becomes one of `participants.csv`, which is joined with `ratings.csv`."""
 
 
-def check_factor(name: str) -> str:
+def _check_factor(name: str) -> str:
     """Demand a name that can head a column of its own."""
     singular = name.casefold().removesuffix("s")
     if name not in CHOOSING and singular in CHOOSING:
@@ -77,12 +74,7 @@ def count_groups(between: Mapping[str, tuple[str, ...]]) -> int:
     return math.prod(len(levels) for levels in between.values())
 
 
-Factor = Annotated[str, AfterValidator(check_factor)]
 Levels = Annotated[tuple[kinds.Words, ...], kinds.Some]
-Between = Annotated[dict[Factor, Levels], AfterValidator(_check_groups)]
-
-# What participants are asked: `[scales.NAME]` and `[[session.questions]]`.
-
 Label = Annotated[str, AfterValidator(texts.check_label)]
 
 
@@ -133,30 +125,22 @@ class QuestionTable(kinds.TomlTable):
             texts.check_question(self.make_question())
         return self
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of its questions."""
-        return tuple(texts.READY[self.use]) if self.use else (self.name or "",)
-
     def make_question(self) -> texts.Question:
         """Make the question of a plan."""
         return texts.Question(**self.model_dump(exclude={"use"}))
 
 
 def _check_questions(tables: tuple[QuestionTable, ...]) -> tuple[QuestionTable, ...]:
-    names = kinds.check_distinct(tuple(name for table in tables for name in table.names))
-    if len(names) > texts.MOST_QUESTIONS:
-        most = texts.MOST_QUESTIONS
+    named = (texts.READY[one.use] if one.use else [one.name or ""] for one in tables)
+    names = kinds.check_distinct(tuple(name for own in named for name in own))
+    if len(names) > (most := texts.MOST_QUESTIONS):
         raise ValueError(f"must be at most {most} questions, got {len(names)}")
     return tables
 
 
-# What participants do: `[session]` and `[tasks.NAME]`.
-
-LANGUAGE_FILE = ".toml"
-"""How the name of a lab's own file of texts ends."""
-
+LANGUAGE_FILE = ".toml"  # how the name of a lab's own file of texts ends
 Level = Annotated[float, Field(ge=-120, le=60)]
+LevelName = Annotated[str, kinds.one_of(LEVELS)]
 UpTo100 = Annotated[kinds.Count, Field(le=100)]
 UpToAnHour = Annotated[kinds.NotNegative, Field(le=3600)]
 
@@ -174,22 +158,16 @@ class RehearsalTable(kinds.TomlTable):
 
     training: UpTo100 = 4
     practice: UpTo100 = 2
-    pass_share: kinds.Share = Field(
-        default=_FLOW.training_pass, serialization_alias="training_pass"
-    )
-    rounds: Annotated[int, Field(ge=1, le=100, serialization_alias="training_rounds")] = (
-        _FLOW.training_rounds
-    )
+    pass_share: kinds.Share = _FLOW.training_pass
+    rounds: Annotated[int, Field(ge=1, le=100)] = _FLOW.training_rounds
 
 
 class BreaksTable(kinds.TomlTable):
     """`[session.breaks]`: when the hand rests."""
 
-    every_trials: Annotated[kinds.AtLeastOne | None, kinds.OrOff] = Field(
-        default=_FLOW.break_trials, serialization_alias="break_trials"
-    )
-    every_min: Annotated[Annotated[kinds.Positive, Field(le=1440)] | None, kinds.OrOff] = Field(
-        default=_FLOW.break_min, serialization_alias="break_min"
+    every_trials: Annotated[kinds.AtLeastOne | None, kinds.OrOff] = _FLOW.break_trials
+    every_min: Annotated[Annotated[kinds.Positive, Field(le=1440)] | None, kinds.OrOff] = (
+        _FLOW.break_min
     )
     break_s: UpToAnHour = _FLOW.break_s
     rest_s: UpToAnHour = _FLOW.rest_s
@@ -217,21 +195,12 @@ class StaleTable(kinds.TomlTable):
     policy: Annotated[str, kinds.one_of(POLICIES)] = _STALE.policy
 
 
-def _check_apart(frequencies: tuple[float, ...]) -> tuple[float, ...]:
-    kinds.check_distinct(tuple(name_tone(frequency) for frequency in frequencies))
-    return frequencies
-
-
 class ThresholdTable(kinds.TomlTable):
-    """`[session.threshold]`: the detection threshold of each participant, measured before the trials.
-
-    Each frequency takes four to five minutes, so there are at most eight.
-    """
+    """`[session.threshold]`: the detection threshold of each participant, at four to five minutes a frequency."""
 
     frequencies_hz: Annotated[
         tuple[Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)], ...],
         Field(min_length=1, max_length=8),
-        AfterValidator(_check_apart),
     ]
     procedure: Annotated[str, kinds.one_of(PROCEDURES)] = _BLOCK.procedure
     trials: Annotated[int, Field(ge=5, le=200)] = USUAL.trials
@@ -245,37 +214,31 @@ class ThresholdTable(kinds.TomlTable):
 
     @model_validator(mode="after")
     def _check_levels(self) -> Self:
+        kinds.check_distinct(tuple(name_tone(frequency) for frequency in self.frequencies_hz))
         self.make_block()
         return self
 
     def make_block(self) -> ThresholdBlock:
         """Make the block of a design; which refuses levels that are out of order."""
         names = {"trials", "catch_every", "start_db", "lowest_db", "highest_db"}
-        own = self.model_dump(exclude=names)
-        return ThresholdBlock(plan=ThresholdPlan(**self.model_dump(include=names)), **own)
+        plan = ThresholdPlan(**self.model_dump(include=names))
+        return ThresholdBlock(plan=plan, **self.model_dump(exclude=names))
 
 
 class MatchingTable(kinds.TomlTable):
     """`[session.matching]`: stimuli matched in strength with the recording itself, before the trials."""
 
-    level: Annotated[str, kinds.one_of(LEVELS)] | None = None
-    repeats: Annotated[int, Field(ge=1, le=20)] = _MATCHING.repeats
-
-    def make_block(self, levels: tuple[str, ...]) -> MatchingBlock:
-        """Make the block of a design; the last of the set's levels is matched where none is named."""
-        return MatchingBlock(self.level or levels[-1], self.repeats)
+    level: LevelName | None = None
+    repeats: Annotated[int, Field(ge=1, le=20)] = MatchingBlock("").repeats
 
 
-_OWN_PROTOCOL = kinds.own_or_one_of(OURS, "protocol", "protocols")
+OwnProtocol = Annotated[str, kinds.own_or_one_of(OURS, "protocol", "protocols")]
 
 
 class SessionTable(kinds.TomlTable):
     """`[session]`: what participants do."""
 
-    protocols: Annotated[tuple[Annotated[str, _OWN_PROTOCOL], ...], kinds.Some] = (
-        "realism",
-        "similarity",
-    )
+    protocols: Annotated[tuple[OwnProtocol, ...], kinds.Some] = ("realism", "similarity")
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     recordings_per_participant: kinds.AtLeastOne | None = None
     order: Annotated[str, kinds.one_of(ORDERS)] = "williams"
@@ -316,12 +279,7 @@ class TaskTable(kinds.TomlTable):
         return make_task(name, training=training, practice=practice, **self.model_dump())
 
 
-# What is felt: `[[recordings]]`, `[stimuli]` and `[rig]`, with methods of the lab's own.
-
-
-SCENE_RATE_HZ = 10000.0
-"""Sampling rate of scenes; that of a file is what the file says."""
-
+SCENE_RATE_HZ = 10000.0  # sampling rate of scenes; that of a file is what the file says
 _NOT_OF = {
     "scene": {"unit", "columns", "full_scale", "resample"},
     "file": {"seed", "duration_s"},
@@ -379,9 +337,7 @@ class RecordingTable(kinds.TomlTable):
         if self.files is None:
             return [self]
         if Path(self.files).is_absolute():
-            raise ValueError(
-                f"must be within the study's folder, got {self.files!r}; link it there"
-            )
+            raise ValueError(f"must be within the study's folder, got {self.files!r}; link it")
         found = (path for path in folder.glob(self.files) if path.name[0] != "." and path.is_file())
         names = sorted(path.relative_to(folder).as_posix() for path in found)
         if not names:
@@ -412,8 +368,8 @@ ACCEPT = "accept"
 BELOW_THRESHOLD = ("refuse", ACCEPT)
 """Whether stimuli that are weaker than the detection threshold keep a study from running."""
 
-_OWN_REDUCER = kinds.own_or_one_of(REDUCERS, "reducer", "reducers")
-_OWN_REFERENCE = kinds.own_or_one_of((ORIGINAL, NO_REFERENCE, *REDUCERS), "reducer", "reducers")
+OwnReducer = Annotated[str, kinds.own_or_one_of(REDUCERS, "reducer", "reducers")]
+Reference = kinds.own_or_one_of((ORIGINAL, NO_REFERENCE, *REDUCERS), "reducer", "reducers")
 
 
 def _check_gain(gain: float | str) -> float | str:
@@ -425,12 +381,10 @@ def _check_gain(gain: float | str) -> float | str:
 class StimuliTable(kinds.TomlTable):
     """`[stimuli]`: what is made of each recording."""
 
-    reducers: Annotated[tuple[Annotated[str, _OWN_REDUCER], ...], kinds.Some] = DEFAULT_REDUCERS
-    levels: Annotated[tuple[Annotated[str, kinds.one_of(LEVELS)], ...], kinds.Some] = tuple(
-        _RECIPE.levels
-    )
+    reducers: Annotated[tuple[OwnReducer, ...], kinds.Some] = DEFAULT_REDUCERS
+    levels: Annotated[tuple[LevelName, ...], kinds.Some] = tuple(_RECIPE.levels)
     anchors: bool = _RECIPE.anchors
-    reference: Annotated[str, _OWN_REFERENCE] = _RECIPE.reference
+    reference: Annotated[str, Reference] = _RECIPE.reference
     gain: Annotated[float | str, AfterValidator(_check_gain)] = _RECIPE.gain
     fade_s: kinds.Seconds = _RECIPE.fade_s
     threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
@@ -490,9 +444,6 @@ class RigTable(kinds.TomlTable):
         return self.model_dump(exclude={"certificate"})
 
 
-# Who feels it, and what becomes of the ratings.
-
-
 class StudyTable(kinds.TomlTable):
     """`[study]`: name and seed."""
 
@@ -536,7 +487,9 @@ class Settings(kinds.TomlTable):
         default_factory=dict
     )
     scales: dict[Label, ScaleTable] = Field(default_factory=dict)
-    between: Between = Field(default_factory=dict)
+    between: Annotated[
+        dict[Annotated[str, AfterValidator(_check_factor)], Levels], AfterValidator(_check_groups)
+    ] = Field(default_factory=dict)
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()
     stations: StationsTable = StationsTable()

@@ -15,8 +15,6 @@ from feel321.study.session.ports import Confirm, Feel, Place
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from feel321.study.session.ports import Act
-
 
 def vary(model: ObserverModel, **changes: object) -> ObserverModel:
     return ObserverModel(**{**model.model_dump(), **changes})
@@ -27,7 +25,6 @@ EXACT = vary(MODEL, bias_sd=0.0, gain_sd=0.0, noise_sd=0.0, noise_spread=0.0)
 # Every percept is 50 points, so that nothing but what a test plants moves a rating.
 FLAT = vary(EXACT, intercept=50.0, spectral=0.0, temporal=0.0)
 SLIDER = Scale("any", "?", "low", "high")
-CHOICE = Scale("abx", "?", "", "", choices=("a", "b"))
 
 
 def make_stimulus(name: str, spectral: float, temporal: float) -> Stimulus:
@@ -56,18 +53,11 @@ def make_realism(number: int, code: str, *, phase: str = "main") -> Trial:
     return Trial(number, 1, 1, "realism", "realism", "replay", "oak", (part,), (judgement,), phase)
 
 
-def make_abx(number: int, code: str) -> Trial:
-    parts = (Part("a", code), Part("b", "original"), Part("x", code))
-    return Trial(
-        number, 1, 1, "abx", "abx", "replay", "oak", parts, (Judgement("x", code, "original"),)
-    )
-
-
-def make_mushra(number: int, codes: Sequence[str], *, timing: str = "free") -> Trial:
+def make_mushra(number: int, codes: Sequence[str]) -> Trial:
     slots = [Part(str(slot), code) for slot, code in enumerate(codes, start=1)]
     judgements = tuple(Judgement(part.name, str(part.stimulus_id), "original") for part in slots)
     parts = (Part("reference", "original"), *slots)
-    return Trial(number, 1, 1, "mushra", "mushra", timing, "oak", parts, judgements)
+    return Trial(number, 1, 1, "mushra", "mushra", "free", "oak", parts, judgements)
 
 
 def make_main(n: int) -> list[Trial]:
@@ -83,22 +73,13 @@ def feel(observer: SimulatedObserver, part: Part) -> None:
         observer.play(part, (STIMULI | OTHERS)[part.stimulus_id], gap_s=0.5)
 
 
-def lead(observer: SimulatedObserver, trial: Trial, *, attempt: int = 1) -> list[Act]:
-    """Lead a participant through a trial, as the engine does; what they did, the answer last."""
-    scale = CHOICE if trial.protocol == "abx" else SLIDER
-    observer.show_trial(trial, scale, Place(0, 20, attempt))
+def answer(observer: SimulatedObserver, trial: Trial, *, attempt: int = 1) -> Confirm:
+    """Lead a participant through a trial, as the engine does, to the answer."""
+    observer.show_trial(trial, SLIDER, Place(0, 20, attempt))
     for part in trial.parts if trial.timing != "free" else ():
         feel(observer, part)
-    acts = [observer.wait()]
-    while not isinstance(acts[-1], Confirm):
-        if isinstance(acts[-1], Feel):
-            feel(observer, next(part for part in trial.parts if part.name == acts[-1].part))
-        acts.append(observer.wait())
-    return acts
-
-
-def answer(observer: SimulatedObserver, trial: Trial, *, attempt: int = 1) -> Confirm:
-    act = lead(observer, trial, attempt=attempt)[-1]
+    while isinstance(act := observer.wait(), Feel):
+        feel(observer, next(part for part in trial.parts if part.name == act.part))
     assert isinstance(act, Confirm)
     return act
 
@@ -120,15 +101,8 @@ def matches(trials: Iterable[Trial]) -> tuple[list[float], list[float]]:
 
 def test_planted_weights_on_the_matches_are_recovered() -> None:
     trials = make_main(4000)
-    model = vary(
-        MODEL,
-        intercept=15.0,
-        bias_sd=0.0,
-        gain_sd=0.0,
-        noise_spread=0.0,
-        spectral=40.0,
-        temporal=25.0,
-    )
+    exact = dict.fromkeys(("bias_sd", "gain_sd", "noise_spread"), 0.0)
+    model = vary(MODEL, intercept=15.0, spectral=40.0, temporal=25.0, **exact)
     found = fit(rate_all(SimulatedObserver(model, seed=1, number=1), trials), *matches(trials))
     assert found == pytest.approx([15.0, 40.0, 25.0], rel=0.06)
 

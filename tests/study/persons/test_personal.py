@@ -10,8 +10,8 @@ import pytest
 
 from feel321.study.auditing.study import audit_study, examine
 from feel321.study.persons import answers
+from feel321.study.persons.answers import write_answers
 from feel321.study.session.journal import read_journal
-from feel321.study.study import Study
 from tests.study.persons.conftest import copy_study
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def read_table(study: StudyFolder) -> list[dict[str, str]]:
 
 
 def list_values(study: StudyFolder) -> list[str]:
-    return Study(study).answers()["answer"].tolist()
+    return [row["answer"] for row in write_answers(study)]
 
 
 @pytest.fixture

@@ -15,8 +15,9 @@ import pytest
 
 from feel321.study.auditing.study import audit_study, examine
 from feel321.study.cli import main
-from feel321.study.commands import shared
+from feel321.study.persons.withdrawal import recording_output
 from feel321.study.session import engine
+from feel321.study.session.journal import utc_now
 from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
@@ -143,7 +144,7 @@ def write_everything(study: StudyFolder, out: Path, *, really: bool) -> None:
         say("export", study.path, out / "bids", "--simulated")
     else:
         make_report(study.report)
-        with shared.recording(study, "analyze", out / "elsewhere"):
+        with recording_output(study, "analyze", out / "elsewhere", now=utc_now):
             make_report(out / "elsewhere")
     say("export", study.path, out / "for-r", "--r")
     say("status", study.path, "--notes")

@@ -1,16 +1,11 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from feel321.study import power
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.workflow import build_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 STUDY = """
 [study]

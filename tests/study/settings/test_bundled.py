@@ -1,24 +1,19 @@
 """The studies that come with feel321, published or designs, run as they are, but for their length."""
 
-from __future__ import annotations
-
 import csv
 import re
 from collections import Counter
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
 
 import pytest
 
 from feel321.study.cli import main
-from feel321.study.folder import StudyFolder, create_study, list_bundled, read_bundled
+from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
 from feel321.study.settings.read import read_settings
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study, check_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from datetime import datetime
-    from pathlib import Path
 
 # What one participant judges: recordings x comparisons.
 JUDGEMENTS = {
@@ -32,25 +27,21 @@ DESIGNS = ("airotouch", "generated")
 """Of our own, after no paper."""
 
 
-@pytest.fixture(params=list_bundled())
+@pytest.fixture(params=JUDGEMENTS)
 def bundled(request: pytest.FixtureRequest, tmp_path: Path) -> StudyFolder:
     """A published study with short recordings."""
     study = create_study(tmp_path / request.param, bundled=request.param)
-    whole = re.sub(r"^duration_s = .*\n", "", read_bundled(request.param), flags=re.MULTILINE)
+    whole = re.sub(r"^duration_s = .*\n", "", read_template(request.param), flags=re.MULTILINE)
     text = re.sub(r"^(scene = .*)$", r"\1\nduration_s = 0.4", whole, flags=re.MULTILINE)
     study.settings.write_text(text, encoding="utf-8")
     return study
-
-
-def test_the_counts_know_every_bundled_study() -> None:
-    assert set(JUDGEMENTS) == set(list_bundled())
 
 
 def test_a_bundled_study_is_named_after_itself_and_says_what_it_follows(
     bundled: StudyFolder,
 ) -> None:
     assert read_settings(bundled.settings).study.name == bundled.path.name
-    text = read_bundled(bundled.path.name)
+    text = read_template(bundled.path.name)
     is_design = bundled.path.name in DESIGNS
     assert bool(re.search(r"doi:10\.\d{4}/\S", text)) is not is_design
     source = "From a paper: nothing" if is_design else "From the paper"
@@ -71,7 +62,7 @@ def test_a_bundled_study_runs_from_check_to_ratings(
 
 
 def test_every_texture_of_park_is_felt_in_three_orientations() -> None:
-    text = read_bundled("park2019")
+    text = read_template("park2019")
     entries = re.findall(
         r'scene = "(\w+)"\nseed = (\d)\nname = "texture(\d)-r(\d)"\nrotation = (\d)', text
     )
@@ -79,19 +70,16 @@ def test_every_texture_of_park_is_felt_in_three_orientations() -> None:
     assert all((seed, named) == (texture, turned) for _, seed, texture, named, turned in entries)
 
 
-def test_new_offers_the_bundled_studies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_new_offers_the_bundled_studies_and_refuses_others_before_anything_is_made(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert set(JUDGEMENTS) == set(list_bundled())
     assert main(["new", "--help"]) == 0
     assert f"[one of {', '.join(list_bundled())}]" in " ".join(capsys.readouterr().out.split())
     assert main(["new", str(tmp_path / "s"), "--study", "lee2022"]) == 0
-    assert StudyFolder(tmp_path / "s").settings.read_text(encoding="utf-8") == read_bundled(
-        "lee2022"
-    )
-
-
-def test_an_unknown_study_is_refused_with_the_list_before_anything_is_made(tmp_path: Path) -> None:
-    with pytest.raises(
-        ValueError, match=r"^study must be one of [a-z0-9, ]+, park2019; got 'park'"
-    ):
-        create_study(tmp_path / "s", bundled="park")
-    assert not (tmp_path / "s").exists()
-    assert main(["new", str(tmp_path / "s"), "--study", "park"]) == 2
+    written = (tmp_path / "s" / "study.toml").read_text(encoding="utf-8")
+    assert written == read_template("lee2022")
+    with pytest.raises(ValueError, match=r"^study must be one of [a-z0-9, ]+; got 'park'"):
+        create_study(tmp_path / "t", bundled="park")
+    assert main(["new", str(tmp_path / "t"), "--study", "park"]) == 2
+    assert not (tmp_path / "t").exists()

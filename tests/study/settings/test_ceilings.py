@@ -1,7 +1,5 @@
 """Every number of every setting has two bounds, and what is beyond them is refused at once."""
 
-from __future__ import annotations
-
 import math
 import resource
 import time

@@ -1,16 +1,11 @@
 """Every mistake in `study.toml` is one line that says where it is, what was found and what is allowed."""
 
-from __future__ import annotations
-
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from feel321.study.settings.read import find_conflicts, read_settings
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
 TWO = '[[recordings]]\nscene = "bumps"\nsample = "ridges"\n[[recordings]]\nscene = "hard_taps"\n'

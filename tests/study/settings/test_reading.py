@@ -1,11 +1,11 @@
 """What `study.toml` says reaches recordings, recipe, texts and design; and the list of all settings."""
 
-from __future__ import annotations
-
 import re
 import tomllib
+from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ from feel321.stimuli.wav import write_wav
 from feel321.study.actuator.rig import read_rig
 from feel321.study.all_settings import FILES, list_settings, read_meanings, write_list
 from feel321.study.cli import main
-from feel321.study.folder import create_study, read_template
+from feel321.study.folder import StudyFolder, create_study, read_template
 from feel321.study.observer.model import ObserverModel
 from feel321.study.session.plan import Design, Stale
 from feel321.study.session.ports import Surface
@@ -47,32 +47,26 @@ from feel321.study.settings.read import (
 from feel321.study.settings.schema import Settings
 from feel321.study.workflow import build_study, check_study
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
 SCENE = '[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n'
 
 
 @pytest.fixture
 def read(tmp_path: Path) -> Callable[[str], Settings]:
+    """Read settings, with ; between their lines."""
+
     def read_text(text: str) -> Settings:
-        (tmp_path / "study.toml").write_text(text, encoding="utf-8")
+        lines = text.replace("; ", "\n")
+        (tmp_path / "study.toml").write_text(lines, encoding="utf-8")
         return read_settings(tmp_path / "study.toml")
 
     return read_text
 
 
-# A new study, and the list of all settings.
-
-
 def test_the_template_states_every_default_and_names_every_scene(
     read: Callable[[str], Settings],
 ) -> None:
-    template = read(read_template())
+    template = read(read_template().replace("; ", ", "))
     scenes = [{"scene": name} for name in SCENES]
     study = {"name": template.study.name}
     assert template == Settings.model_validate({"study": study, "recordings": scenes})
@@ -134,49 +128,28 @@ def test_defaults_are_those_of_the_rules_and_the_observer(read: Callable[[str], 
         settings.study.seed = 4  # type: ignore[misc] - that it is refused is the point
 
 
-# What is set reaches the rooms below.
+SESSION = """sample = "ridges"; [study]; seed = 9
+[stimuli]; reducers = ["pca321", "dft321"]; levels = ["as_is", "equal_intensity"]
+[session]; protocols = ["abx", "similarity"]; repeats = 2; order = "blocked"
+rehearsal = { training = 1, practice = 0, pass_share = 1, rounds = 2 }
+breaks = { every_trials = "off", every_min = "off", break_s = 1, rest_s = 2 }
+quality = { min_response_s = 0, max_attempts = 1, reject = [], gap_s = 0.1 }
+stale = { after_h = "off", policy = "restart" }
+[[session.questions]]; name = "n"; kind = "number"; question = "N"; low = 1; high = 2.5
+when = "after"; personal = true; required = false
+[tasks.abx]; timing = "strict"; reference = "dft321"
+[tasks.similarity]; reference = "surface"
+[between]; grip = ["pen", "power"]; level = ["equal_intensity"]
+"""
 
 
 def test_every_setting_of_the_session_reaches_the_design(read: Callable[[str], Settings]) -> None:
-    settings = read(
-        SHORTEST
-        + """
-        sample = "ridges"
-        [study]
-        seed = 9
-        [stimuli]
-        reducers = ["pca321", "dft321"]
-        levels = ["as_is", "equal_intensity"]
-        [session]
-        protocols = ["abx", "similarity"]
-        repeats = 2
-        order = "blocked"
-        rehearsal = { training = 1, practice = 0, pass_share = 1, rounds = 2 }
-        breaks = { every_trials = "off", every_min = "off", break_s = 1, rest_s = 2 }
-        quality = { min_response_s = 0, max_attempts = 1, reject = [], gap_s = 0.1 }
-        stale = { after_h = "off", policy = "restart" }
-        [[session.questions]]
-        name = "n"
-        kind = "number"
-        question = "N"
-        low = 1
-        high = 2.5
-        when = "after"
-        personal = true
-        required = false
-        [tasks.abx]
-        timing = "strict"
-        reference = "dft321"
-        [tasks.similarity]
-        reference = "surface"
-        [between]
-        grip = ["pen", "power"]
-        level = ["equal_intensity"]
-        """
-    )
-    asked = Question(
-        "n", "number", "N", low=1.0, high=2.5, when="after", personal=True, required=False
-    )
+    settings = read(SHORTEST + SESSION)
+    asked = {"low": 1.0, "high": 2.5, "when": "after", "personal": True, "required": False}
+    flow = Flow(
+        break_trials=None, break_min=None, break_s=1.0, rest_s=2.0, training_pass=1.0,
+        training_rounds=2, min_response_s=0.0, max_attempts=1, reject=(), gap_s=0.1,
+    )  # fmt: skip
     assert make_design(settings) == Design(
         seed=9,
         order="blocked",
@@ -186,60 +159,30 @@ def test_every_setting_of_the_session_reaches_the_design(read: Callable[[str], S
             make_task("similarity", reference="surface", training=1),
         ),
         between={"grip": ("pen", "power"), "level": ("equal_intensity",)},
-        flow=Flow(
-            break_trials=None,
-            break_min=None,
-            break_s=1.0,
-            rest_s=2.0,
-            training_pass=1.0,
-            training_rounds=2,
-            min_response_s=0.0,
-            max_attempts=1,
-            reject=(),
-            gap_s=0.1,
-        ),
-        questions=(asked,),
+        flow=flow,
+        questions=(Question("n", "number", "N", **asked),),
     )
     assert Stale(**settings.session.stale.model_dump()) == Stale(after_h=None, policy="restart")
 
 
+STIMULI = """[study]; seed = 4
+[stimuli]; reducers = ["pca321"]; levels = ["equal_intensity"]; anchors = false
+reference = "dft321"; gain = 2.0; fade_s = 0.02
+[stimuli.conditioning]; remove_offset = false; high_pass_hz = "off"; low_pass_hz = 500
+crop_s = [0.1, 0.4]
+[rig]; rate_hz = 44100; full_scale_m_s2 = 60; headroom = 0.5
+"""
+
+
 def test_every_setting_of_the_stimuli_reaches_the_recipe(read: Callable[[str], Settings]) -> None:
-    text = """
-        [study]
-        seed = 4
-        [stimuli]
-        reducers = ["pca321"]
-        levels = ["equal_intensity"]
-        anchors = false
-        reference = "dft321"
-        gain = 2.0
-        fade_s = 0.02
-        [stimuli.conditioning]
-        remove_offset = false
-        high_pass_hz = "off"
-        low_pass_hz = 500
-        crop_s = [0.1, 0.4]
-        [rig]
-        rate_hz = 44100
-        full_scale_m_s2 = 60
-        headroom = 0.5
-        """
     steps = Conditioning(
         remove_offset=False, high_pass_hz=None, low_pass_hz=500.0, crop_s=(0.1, 0.4)
     )
-    assert make_recipe(read(SHORTEST + text)) == Recipe(
-        conditioning=steps,
-        reducers=("pca321",),
-        levels=("equal_intensity",),
-        anchors=False,
-        reference="dft321",
-        gain=2.0,
-        fade_s=0.02,
-        rate_hz=44100.0,
-        full_scale_m_s2=60.0,
-        headroom=0.5,
-        seed=4,
-    )
+    assert make_recipe(read(SHORTEST + STIMULI)) == Recipe(
+        conditioning=steps, reducers=("pca321",), levels=("equal_intensity",), anchors=False,
+        reference="dft321", gain=2.0, fade_s=0.02, rate_hz=44100.0, full_scale_m_s2=60.0,
+        headroom=0.5, seed=4,
+    )  # fmt: skip
 
 
 def test_recordings_come_in_order_under_their_names(study: StudyFolder) -> None:
@@ -271,9 +214,6 @@ def test_every_reading_option_reaches_the_reader(
     assert [one.name for one in open_recordings(settings, tmp_path)] == ["oak"]
     options = {"rate_hz": 50.0, "unit": "g", "columns": ("x", 1, 2), "full_scale": 16.0}
     assert calls == [(tmp_path / "a.wav", options | {"resample": True})]
-
-
-# Orientations of the sensor.
 
 
 def find_turn(scene: str, rotation: int) -> np.ndarray:
@@ -327,9 +267,6 @@ def test_surfaces_are_found_by_the_names_that_trials_know_them_by(study: StudyFo
     }
 
 
-# Texts, scales and questions.
-
-
 @pytest.mark.parametrize("language", list_languages())
 def test_the_ready_page_is_asked_in_the_language_of_the_study(
     language: str, tmp_path: Path, read: Callable[[str], Settings]
@@ -350,19 +287,9 @@ def test_scales_of_the_labs_own_reach_the_texts_and_the_tasks(
     tmp_path: Path, read: Callable[[str], Settings]
 ) -> None:
     settings = read(
-        SHORTEST
-        + """
-        [scales.roughness]
-        question = 'How rough?'
-        low = 'smooth'
-        high = 'rough'
-        anchors = ['a', 'b']
-        [tasks.realism]
-        scales = ['realism', 'roughness']
-        gap_s = 0.1
-        answer_timeout_s = 4
-        onset_s = 10
-        """
+        f"{SHORTEST}[scales.roughness]; question = 'How rough?'; low = 'smooth'; high = 'rough'; "
+        "anchors = ['a', 'b']; [tasks.realism]; scales = ['realism', 'roughness']; "
+        "gap_s = 0.1; answer_timeout_s = 4; onset_s = 10"
     )
     task = make_design(settings).tasks[0]
     assert task.scales == ("realism", "roughness")
