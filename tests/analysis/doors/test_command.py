@@ -60,7 +60,7 @@ def spoil(study: object, how: str) -> None:
     ("how", "message"),
     [
         ("ratings missing", "ratings.csv: No such file or directory; check the name"),
-        ("ratings folder", "ratings.csv: Is a directory; check the name"),
+        ("ratings folder", "ratings.csv: is a folder, not a file; check the name"),
         ("ratings dangling", "ratings.csv: No such file or directory"),
         ("ratings semicolons", "ratings.csv, line 1: column participant, stimulus_id, scale, rating is missing; got"),
         ("ratings cut", "ratings.csv, line "),
@@ -109,7 +109,7 @@ REDUCED = {
     ),
     "hardly anything": (lambda f: f.iloc[:: len(f) // 7], "participant x stimulus cells hold no rating."),
     "everyone once": (
-        lambda f: f.assign(participant=[f"q{number}" for number in range(len(f))]), "no primary model. data: got",
+        lambda f: f.assign(participant=[f"q{number}" for number in range(len(f))]), "no primary model. data must have",
     ),
     "own recording each": (
         lambda f: f[f["recording"].str[-1] == f["participant"].str[-1]], "participant x stimulus cells hold no rating."
