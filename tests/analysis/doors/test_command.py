@@ -60,7 +60,7 @@ def spoil(study: object, how: str) -> None:
     ("how", "message"),
     [
         ("ratings missing", "ratings.csv: No such file or directory; check the name"),
-        ("ratings folder", "ratings.csv: Is a directory; check the name"),
+        ("ratings folder", "ratings.csv: is a folder, not a file; check the name"),
         ("ratings dangling", "ratings.csv: No such file or directory"),
         ("ratings semicolons", "ratings.csv, line 1: column participant, stimulus_id, scale, rating is missing; got"),
         ("ratings cut", "ratings.csv, line "),
