@@ -37,7 +37,7 @@ from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.freeze import make_standing
-from feel321.study.people import list_progress, note_estimates, note_given_up, write_roster
+from feel321.study.people import list_progress, list_remarks, write_roster
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import closing_results
 from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
@@ -157,11 +157,12 @@ def _derive_tables(
     notes = (
         *further.notes,
         *describe_matches(matched),
-        *note_estimates(everybody),
-        *note_given_up(everybody),
+        *list_remarks(everybody),
         *([f"{said}: {', '.join(methods)}."] if methods else []),
     )
-    return replace(further, notes=notes), max((one.rated_utc[:10] for one in everybody), default="")
+    return replace(further, notes=notes), max(
+        (one.last_rated[:10] for one in everybody), default=""
+    )
 
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:

@@ -28,8 +28,6 @@ from feel321.study.session.journal import SESSION_FILE, digest, list_journals, u
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
 
 if TYPE_CHECKING:
-    from dulwich.repo import BaseRepo, Repo
-
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Clock
 
@@ -116,20 +114,20 @@ def list_lost(before: Mapping[str, FileMark], now: Mapping[str, FileMark]) -> li
     return lost
 
 
-# The repository.
+# The repository. `Any` stands for dulwich's own types of repositories and names.
 
 
-def _name_branch(study: StudyFolder, repo: BaseRepo) -> str:
+def _name_branch(study: StudyFolder, repo: Any) -> str:  # noqa: ANN401
     """Name the branch of this copy of a study: after computer and folder, and since when it was restored."""
     host = socket.gethostname()
     place = digest(f"{host}:{study.path.absolute()}")[:8]
     name = f"{re.sub('[^A-Za-z0-9]+', '-', host).strip('-') or 'computer'}-{place}"
-    head = _refs(repo).follow(b"HEAD")[0][-1].removeprefix(HEADS).decode()
+    head = repo.refs.follow(b"HEAD")[0][-1].removeprefix(HEADS).decode()
     return head if head.startswith(f"{name}-restored-") else name
 
 
 @contextmanager
-def _opening(study: StudyFolder) -> Iterator[Repo]:
+def _opening(study: StudyFolder) -> Iterator[Any]:
     """Open the repository for writing, alone; it is made where there is none."""
     from dulwich.repo import Repo
     from filelock import FileLock
@@ -137,8 +135,7 @@ def _opening(study: StudyFolder) -> Iterator[Repo]:
     home = study.path / EVIDENCE
     try:
         with FileLock(home.with_name(f"{EVIDENCE}.lock"), timeout=LOCK_S):
-            if not home.is_dir():
-                _make_repository(home)
+            _make_repository(home)
             for left in home.rglob("*.lock"):  # by a process that was killed
                 left.unlink()
             with Repo(home) as repo:
@@ -151,9 +148,12 @@ def _opening(study: StudyFolder) -> Iterator[Repo]:
 
 
 def _make_repository(home: Path) -> None:
+    """Make it where there is none; a kill leaves no half of one."""
     from dulwich.repo import Repo
 
-    with temporary_folder(beside=home) as made:  # a kill leaves no half of one
+    if home.is_dir():
+        return
+    with temporary_folder(beside=home) as made:
         Repo.init_bare(made).close()
         made.rename(home)
     with suppress(FileExistsError):
@@ -164,15 +164,11 @@ def _describe_damage(home: Path, error: Exception) -> str:
     return f"{home}: cannot be read ({type(error).__name__}: {error}); restore it from a remote"
 
 
-def _refs(repo: BaseRepo) -> Any:  # noqa: ANN401 - dulwich has types of its own for names
-    return repo.refs
-
-
-def _read_history(repo: BaseRepo, tip: Any) -> list[Checkpoint]:  # noqa: ANN401 - an id, or None
+def _read_history(repo: Any, tip: Any) -> list[Checkpoint]:  # noqa: ANN401
     """Read all checkpoints up to a commit, the oldest first; what is not as its id says is refused."""
     from dulwich.objects import ShaFile
 
-    def read(name: Any) -> Any:  # noqa: ANN401 - dulwich's own
+    def read(name: Any) -> Any:  # noqa: ANN401
         kind, content = repo.object_store.get_raw(name)
         return ShaFile.from_raw_string(kind, content, verify_sha=name)
 
@@ -183,8 +179,8 @@ def _read_history(repo: BaseRepo, tip: Any) -> list[Checkpoint]:  # noqa: ANN401
         lines = (line.split("\t") for line in text.splitlines())
         marks = {name: FileMark(int(size), sha256) for name, size, sha256 in lines}
         subject, _, reason = commit.message.decode().partition("\n\n")
-        begins, occasion = subject.startswith("before "), subject.removeprefix("before ")
-        by, _, who = occasion.partition(" ")
+        begins = subject.startswith("before ")
+        by, _, who = subject.removeprefix("before ").partition(" ")
         utc = datetime.fromtimestamp(commit.commit_time, UTC).isoformat()
         history.append(Checkpoint(tip.decode(), utc, begins, by, who, reason, marks))
         tip = next(iter(commit.parents), None)
@@ -195,33 +191,28 @@ def read_own(study: StudyFolder) -> Own:
     """Read the repository in the folder."""
     from dulwich.repo import Repo
 
-    home, remotes, branch = study.path / EVIDENCE, {}, ""
+    home, own = study.path / EVIDENCE, Own([], {}, "", "")
     if not home.is_dir():
-        return Own([], {}, "", "")
+        return own
     try:
         with Repo(home) as repo:
-            branch = _name_branch(study, repo)
+            own = own._replace(branch=_name_branch(study, repo))
             for url, name in _list_remotes(repo).items():
-                refs = _refs(repo).subkeys(b"refs/remotes/" + name)
-                remotes[url] = {ref.decode() for ref in refs}
-            tip = _refs(repo).as_dict().get(b"HEAD")
-            return Own(_read_history(repo, tip), remotes, "", branch)
+                refs = repo.refs.subkeys(b"refs/remotes/" + name)  # type: ignore[arg-type]
+                own.pushed[url] = {ref.decode() for ref in refs}
+            tip = repo.refs.as_dict().get(b"HEAD")  # type: ignore[call-overload]
+            return own._replace(history=_read_history(repo, tip))
     except Exception as error:  # noqa: BLE001 - what is damaged raises anything
-        return Own([], remotes, _describe_damage(home, error), branch)
+        return own._replace(problem=_describe_damage(home, error))
 
 
-def find_newest(study: StudyFolder) -> str:
-    """Find the id of the newest checkpoint in the folder; empty if there is none."""
-    return next((one.id for one in read_own(study).history[::-1]), "")
+def find_newest(study: StudyFolder, by: str = "", who: str = "") -> Checkpoint | None:
+    """Find the newest checkpoint in the folder, of one occasion if it is named."""
+    every = read_own(study).history[::-1]
+    return next((one for one in every if not by or (one.by, one.who) == (by, who)), None)
 
 
-def is_begun(study: StudyFolder, by: str, who: str) -> bool:
-    """Check whether something began at a checkpoint and none says how it ended."""
-    own = [one for one in read_own(study).history if (one.by, one.who) == (by, who)]
-    return bool(own) and own[-1].begins
-
-
-def _list_remotes(repo: Repo) -> dict[str, bytes]:
+def _list_remotes(repo: Any) -> dict[str, bytes]:  # noqa: ANN401
     config = repo.get_config()
     names = [section[1] for section in config.sections() if section[0] == b"remote"]
     return {config.get((b"remote", name), b"url").decode(): name for name in names}
@@ -232,8 +223,8 @@ def take_checkpoint(
 ) -> Seal:
     """Commit what the files of a study are now, and push it.
 
-    by, who: the occasion (`session`, `simulate`, `analyze`, `build`, `withdraw`, `seal`; `before ...`, `failed ...`);
-    remote: a further one, which is kept if it takes this.
+    by, who: the occasion (`session`, `simulate`, `analyze`, `build`, `withdraw`, `seal`; `before ...`); remote: a
+    further one, which is kept if it takes this.
     """
     remote = remote and _prepare_remote(remote, study)
     ahead = _find_ahead(read_own(study)) if reason else []
@@ -266,14 +257,19 @@ def _find_ahead(own: Own) -> list[Checkpoint]:
 
 
 def _commit(
-    repo: Repo, branch: str, marks: Mapping[str, FileMark], *, message: str, utc: datetime
+    repo: Any,  # noqa: ANN401
+    branch: str,
+    marks: Mapping[str, FileMark],
+    *,
+    message: str,
+    utc: datetime,
 ) -> str:
     from dulwich.objects import Blob, Commit, Tree
 
     lines = [f"{name}\t{mark.size}\t{mark.sha256}\n" for name, mark in marks.items()]
     blob, tree, commit = Blob.from_string("".join(lines).encode()), Tree(), Commit()
     tree.add(DIGESTS, 0o100644, blob.id)
-    tip = _refs(repo).as_dict().get(b"HEAD")
+    tip = repo.refs.as_dict().get(b"HEAD")
     commit.tree, commit.parents = tree.id, [tip] if tip else []
     commit.author = commit.committer = b"feel321 <feel321@localhost>"
     commit.author_time = commit.commit_time = int(utc.timestamp())
@@ -284,8 +280,8 @@ def _commit(
         repo.object_store.add_object(one)
         sync_folder(objects / one.id[:2].decode())
     sync_folder(objects)
-    _refs(repo)[HEADS + branch.encode()] = commit.id
-    _refs(repo).set_symbolic_ref(b"HEAD", HEADS + branch.encode())
+    repo.refs[HEADS + branch.encode()] = commit.id
+    repo.refs.set_symbolic_ref(b"HEAD", HEADS + branch.encode())
     return commit.id.decode()
 
 
@@ -311,10 +307,10 @@ def _prepare_remote(remote: str, study: StudyFolder) -> str:
     return str(folder)
 
 
-def _push_all(repo: Repo, own: Own, branch: str, *, new: str) -> dict[str, str]:
+def _push_all(repo: Any, own: Own, branch: str, *, new: str) -> dict[str, str]:  # noqa: ANN401
     """Push a branch to every remote, and keep a new one that took it; returns what went wrong, by URL."""
     ref, problems = HEADS + branch.encode(), dict[str, str]()
-    tip, known = _refs(repo)[ref], {one.id.encode() for one in own.history}
+    tip, known = repo.refs[ref], {one.id.encode() for one in own.history}
 
     def push(url: str, there: set[str]) -> None:
         def choose(refs: Mapping[bytes, bytes]) -> dict[bytes, bytes]:
@@ -346,7 +342,7 @@ def _push_all(repo: Repo, own: Own, branch: str, *, new: str) -> dict[str, str]:
             name = remotes.get(url, b"remote%d" % (len(remotes) + 1))
             config.set((b"remote", name), b"url", url.encode())
             config.write_to_path()
-            _refs(repo)[b"refs/remotes/" + name + b"/" + branch.encode()] = tip
+            repo.refs[b"refs/remotes/" + name + b"/" + branch.encode()] = tip
     return problems
 
 
@@ -424,10 +420,6 @@ def declaring(
         yield
         return
     before = note_checkpoint(study, f"before {by}", who=who)
-    try:
-        yield
-    except Exception:  # else it was killed, and may have done half
-        note_checkpoint(study, f"failed {by}", who=who)
-        raise
+    yield  # what fails or is killed here may have done half, and no checkpoint says that it ended
     for problem in filter(None, (before, note_checkpoint(study, by, who=who))):
         warn(problem)

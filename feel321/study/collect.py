@@ -14,7 +14,7 @@ from feel321.doors import announce
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import people
-from feel321.study.auditing.journals import list_files
+from feel321.study.auditing.study import list_files
 from feel321.study.folder import require_study
 from feel321.study.numbers import find_doubles, hold_numbers, read_holder, read_holders
 from feel321.study.persons import withdrawal
@@ -45,20 +45,30 @@ class Collected:
     refused: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
+    def copy(self, path: Path, content: bytes) -> None:
+        """Write a file whole or not at all, and read it back."""
+        make_folder(path.parent, private=True)
+        write_bytes(path, content, private=True)
+        if (written := path.read_bytes()) != content:
+            text = f"reads back as {len(written)} different bytes; check the disk"
+            raise OSError(f"{path}: {text}")
+        self.files, self.size = self.files + 1, self.size + len(content)
+
 
 def collect_sessions(
     study: StudyFolder,
     sources: Sequence[Path],
     *,
     now: Clock,
-    follow: Callable[[int, int], None] | None = None,
+    follow: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Collected:
     """Collect the sessions of other stations' study folders into a study."""
     others = [require_study(path) for path in dict.fromkeys(path.resolve() for path in sources)]
     if any(other.path == study.path.resolve() for other in others):
         raise ValueError(f"{study.path}: is the study itself; name the folders of other stations")
+    terms = {one.path: _read_terms(one) for one in (study, *others)}
     for other in others:
-        if differences := find_differences(_read_terms(study), _read_terms(other)):
+        if differences := find_differences(terms[study.path], terms[other.path]):
             raise ValueError(
                 f"{other.settings}: differs from {study.settings} ({'; '.join(differences)}); "
                 "collect only what was run with the same settings"
@@ -76,8 +86,7 @@ def collect_sessions(
         for done, there in enumerate(everybody, start=1):
             announce(there.name)
             _collect_one(study, there, collected, stimuli_sha256=stimuli_sha256, now=now)
-            if follow is not None:
-                follow(done, len(everybody))
+            follow(done, len(everybody))
     return collected
 
 
@@ -85,10 +94,11 @@ def _collect_one(
     study: StudyFolder, there: Path, collected: Collected, *, stimuli_sha256: str, now: Clock
 ) -> None:
     """Collect one participant of another folder, or say why not."""
-    before = collected.files
+    here, before = study.sessions / there.name, collected.files
     try:
         if not _take_withdrawal(study, there, collected, now=now):
-            _take_session(study, there, collected, stimuli_sha256=stimuli_sha256)
+            _require_same_plan(here, there, stimuli_sha256)
+            _take_session(study, there, collected)
     except (OSError, ValueError) as error:
         collected.refused.append(f"participant {there.name}: {error}")
     if collected.files > before and there.name not in collected.participants:
@@ -114,7 +124,7 @@ def _take_withdrawal(study: StudyFolder, there: Path, collected: Collected, *, n
     if stone.state != people.REMOVED:
         raise ValueError(f"{there}: a withdrawal was interrupted; finish it there first")
     if there.name not in {folder.name for folder in study.participants}:
-        _copy(here / TOMBSTONE_FILE, (there / TOMBSTONE_FILE).read_bytes(), collected)
+        collected.copy(here / TOMBSTONE_FILE, (there / TOMBSTONE_FILE).read_bytes())
         return True
     reason, say = f"withdrew in {there}", collected.notes.append
     removed = withdrawal.withdraw_participant(study, there.name, now=now, reason=reason, warn=say)
@@ -122,42 +132,40 @@ def _take_withdrawal(study: StudyFolder, there: Path, collected: Collected, *, n
     return True
 
 
-def _take_session(
-    study: StudyFolder, there: Path, collected: Collected, *, stimuli_sha256: str
-) -> None:
-    """Copy what another folder holds of a participant, and this one does not."""
-    here = study.sessions / there.name
+def _require_same_plan(here: Path, there: Path, stimuli_sha256: str) -> None:
     if require_own_plan(there).stimuli_sha256 != stimuli_sha256:
         raise ValueError(f"{there}: was planned with another stimulus set; keep it apart")
-    plan = (there / PLAN_FILE).read_bytes()
-    own = _read_plan(here)
-    if own not in {b"", plan}:
+    if here.is_symlink():
+        raise ValueError(f"{here}: is a link, so data would go elsewhere; put a folder there")
+    plan, own = there / PLAN_FILE, here / PLAN_FILE
+    if own.exists() and own.read_bytes() != plan.read_bytes():
         raise ValueError(f"{here} and {there}: have different plans; keep the right one")
+
+
+def _take_session(study: StudyFolder, there: Path, collected: Collected) -> None:
+    """Copy what another folder holds of a participant, and this one does not."""
+    here = study.sessions / there.name
+    plan, own = there / PLAN_FILE, here / PLAN_FILE
     files, grown = _compare_journals(here, there)
-    missing = _list_missing(here, there, files, notes=collected.notes)
-    if own and not missing and not grown:
+    missing, gone = _list_missing(here, there, files)
+    collected.notes += gone
+    if own.exists() and not missing and not grown:
         return
     with withdrawal.hold_folder(here):
         sweep(here)  # what a kill left
         _, grown = _compare_journals(here, there)  # something may have been written meanwhile
         personal = _compare_personal(here, there)
-        if not own:
+        if not own.exists():
             with hold_numbers(study):
                 _check_number(study, there)
-                _copy(here / PLAN_FILE, plan, collected)
+                collected.copy(own, plan.read_bytes())
         contents = {name: (there / name).read_bytes() for name in missing}
         if odd := [name for name, content in contents.items() if digest(content) != files[name]]:
             raise ValueError(f"{there / odd[0]}: changed while it was collected; run again")
         if grown and personal:
             contents[PERSONAL_FILE] = personal
         for name, content in (contents | grown).items():
-            _copy(here / name, content, collected)
-
-
-def _read_plan(here: Path) -> bytes:
-    if here.is_symlink():
-        raise ValueError(f"{here}: is a link, so data would go elsewhere; put a folder there")
-    return (here / PLAN_FILE).read_bytes() if (here / PLAN_FILE).exists() else b""
+            collected.copy(here / name, content)
 
 
 def _check_number(study: StudyFolder, there: Path) -> None:
@@ -188,6 +196,12 @@ def _compare_journals(here: Path, there: Path) -> tuple[dict[str, str], dict[str
     return files, grown
 
 
+def _read_lines(path: Path) -> bytes:
+    """Read the whole lines of a journal, if it is there: a session may be writing one."""
+    content = path.read_bytes() if path.exists() else b""
+    return content[: content.rfind(b"\n") + 1]
+
+
 def _compare_personal(here: Path, there: Path) -> bytes:
     """Return the personal answers of another folder, which must hold those that are here; none that were removed."""
     theirs = read_personal(there)
@@ -200,36 +214,19 @@ def _compare_personal(here: Path, there: Path) -> bytes:
     return b"" if was_removed or not theirs else (there / PERSONAL_FILE).read_bytes()
 
 
-def _list_missing(
-    here: Path, there: Path, files: Mapping[str, str], *, notes: list[str]
-) -> list[str]:
-    """List the files that are not here yet; one that is here must be the same."""
-    missing = []
+def _list_missing(here: Path, there: Path, files: dict[str, str]) -> tuple[list[str], list[str]]:
+    """List the files that are not here yet, and say which are gone there; one that is here must be the same."""
+    missing, gone = [], []
     for name, sha256 in files.items():
         if (here / name).is_file():
             if digest_file(here / name) != sha256:
                 raise ValueError(f"{here / name} and {there / name}: differ; keep the right one")
         elif not (there / name).is_file():
-            gone = "is gone, though a journal names it; restore it from a copy"
-            notes.append(f"{there / name}: {gone}")
+            text = "is gone, though a journal names it; restore it from a copy"
+            gone.append(f"{there / name}: {text}")
         elif digest_file(there / name) != sha256:
-            changed = "was changed since it was written; restore it from a copy"
-            raise ValueError(f"{there / name}: {changed}")
+            text = "was changed since it was written; restore it from a copy"
+            raise ValueError(f"{there / name}: {text}")
         else:
             missing.append(name)
-    return missing
-
-
-def _read_lines(path: Path) -> bytes:
-    """Read the whole lines of a journal, if it is there: a session may be writing one."""
-    content = path.read_bytes() if path.exists() else b""
-    return content[: content.rfind(b"\n") + 1]
-
-
-def _copy(path: Path, content: bytes, collected: Collected) -> None:
-    """Write a file whole or not at all, and read it back."""
-    make_folder(path.parent, private=True)
-    write_bytes(path, content, private=True)
-    if (written := path.read_bytes()) != content:
-        raise OSError(f"{path}: reads back as {len(written)} different bytes; check the disk")
-    collected.files, collected.size = collected.files + 1, collected.size + len(content)
+    return missing, gone

@@ -10,8 +10,7 @@ import re
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import count
-from math import prod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from feel321.files import hold_lock, make_folder
 from feel321.study.session.events import SessionReleased
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
 
     from feel321.study.folder import StudyFolder
     from feel321.study.session.plan import Plan
-    from feel321.study.settings.schema import Settings
 
 LOCK_FILE = ".numbers.lock"
 
@@ -51,8 +49,7 @@ class Holder:
     state: str = PLANNED
 
 
-@dataclass(frozen=True, slots=True)
-class Station:
+class Station(NamedTuple):
     """The numbers that a station gives: of every `of` blocks the `this`-th, from 1; a block has one of each group."""
 
     this: int = 1
@@ -62,12 +59,6 @@ class Station:
     def has(self, number: int) -> bool:
         """Check whether a number is this station's to give."""
         return (number - 1) // self.block % self.of == self.this - 1
-
-
-def find_station(settings: Settings) -> Station:
-    """Find which numbers a station gives, by its settings."""
-    own = settings.stations
-    return Station(own.this, own.of, prod(map(len, settings.between.values())))
 
 
 def read_holder(folder: Path) -> Holder | None:
@@ -129,27 +120,22 @@ def plan_participants(
         return [make(name, _keep(one, simulated=simulated)) for name, one in own.items() if one]
     with hold_numbers(study):
         known = {one.participant: one for one in read_holders(study)}
-        taken = {
-            one.number
-            for one in known.values()
-            if one.state == PLANNED and one.simulated == simulated
-        }
+        kept = [one for one in known.values() if one.state == PLANNED]
+        taken = {one.number for one in kept if one.simulated == simulated}
         free = (number for number in count(1) if station.has(number) and number not in taken)
         folded: dict[str, str] = {}
         for name in (*known, *names):  # on many systems they name one folder
             if (other := folded.setdefault(name.lower(), name)) != name:
-                raise ValueError(
-                    f"participant {name}: differs from {other} in capitals only; use another code"
-                )
+                text = f"differs from {other} in capitals only; use another code"
+                raise ValueError(f"participant {name}: {text}")
         plans = [
             make(name, _keep(known[name], simulated=simulated) if name in known else next(free))
             for name in dict.fromkeys(names)
         ]
-        for plan in plans:
-            if plan.participant not in known:
-                folder = study.sessions / plan.participant
-                make_folder(folder, private=True)
-                create_plan(folder / PLAN_FILE, plan)
+        for plan in (one for one in plans if one.participant not in known):
+            folder = study.sessions / plan.participant
+            make_folder(folder, private=True)
+            create_plan(folder / PLAN_FILE, plan)
     return plans
 
 

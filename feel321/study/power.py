@@ -190,7 +190,7 @@ def _list_notes(rated: Sequence[Part], slopes: DataFrame, share: int) -> list[st
         f"Each attribute is rated by one in {share} participants, as [between] says.": share > 1,
         "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
         "slope that would matter to you.": (slopes["source"] != GIVEN).any(),
-        "Before the first rating, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
+        "Before the first session, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
         "told apart into confirmatory and exploratory ones.": True,
     }
     return [note for note, holds in said.items() if holds]

@@ -40,6 +40,7 @@ MATCH_COLUMNS = (
     "participant", "trial", "stimulus_id", "recording", "reducer", "level", "offset_db",
 )  # fmt: skip
 
+_BY_TRIAL = itemgetter("trial")
 _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
 
@@ -74,10 +75,19 @@ def list_judgements(dossier: Dossier, stimuli: StimulusSet) -> list[dict[str, An
                 remedy = "move a copy out of sessions/, or restore the plan from one"
                 raise ValueError(f"{path}{fault}; {remedy}")
             levels = find_own_levels(plan, chain.records, stimuli)
-            own = _decode_judgements(header, plan, chain.records, path=path)
-            named = [_name(row, by_code, levels) for row in own]
-            rows += sorted(named, key=itemgetter("trial"))
+            own = sorted(_decode_judgements(header, plan, chain.records, path=path), key=_BY_TRIAL)
+            for row in own:
+                others = {name: by_code.get(row[name]) for name in ("reference_id", "other_id")}
+                row.update({name: one.stimulus_id for name, one in others.items() if one})
+                row.update(_describe_stimulus(by_code[row["stimulus_id"]]))
+                row["sensation_level_db"] = levels.get(row["stimulus_id"], "")
+            rows += own
     return rows
+
+
+def _describe_stimulus(stimulus: Stimulus) -> dict[str, Any]:
+    names = ("stimulus_id", "recording", "reducer", "level")
+    return {name: getattr(stimulus, name) for name in names}
 
 
 def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str]:
@@ -91,13 +101,11 @@ def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str
 def _decode_judgements(
     header: SessionBegun, plan: Plan, records: Records, *, path: Path
 ) -> Iterator[dict[str, Any]]:
-    """Decode the completed judgements of a journal, as they were made."""
+    """Decode the completed judgements of a journal, as they were made; stimuli keep their codes."""
     trials = {trial.number: trial for trial in plan.trials}
     superseded = records.has(SessionSuperseded)
     played: list[PartPlayed] = []
-    for record in records:
-        if record.event not in _KINDS:
-            continue
+    for record in (one for one in records if one.event in _KINDS):
         match record.content:
             case TrialShown():
                 played = []
@@ -105,11 +113,11 @@ def _decode_judgements(
                 played.append(part)
             case TrialRated() as rated if (trial := trials[rated.trial]).phase == "main":
                 felt = {part.part: part for part in played if part.completed}
-                parts = dict.fromkeys(judgement.part for judgement in trial.judgements)
-                if missing := [name for name in parts if name not in felt]:
+                if missing := [one.part for one in trial.judgements if one.part not in felt]:
+                    named = ", ".join(dict.fromkeys(missing))
                     raise ValueError(
-                        f"{path}, line {record.sequence + 1}: trial {trial.number} is rated, but {', '.join(missing)} "
-                        "was not played since it was shown; restore the file from a copy"
+                        f"{path}, line {record.sequence + 1}: trial {trial.number} is rated, but {named} was not "
+                        "played since it was shown; restore the file from a copy"
                     )
                 facts = {
                     "participant": header.participant,
@@ -119,17 +127,16 @@ def _decode_judgements(
                     "rejected": str(rated.rejected or superseded).lower(),
                     "response_time_s": rated.response_time_s,
                 }
-                yield from (facts | row for row in judge(trial, rated, felt))
+                yield from (facts | row for row in _judge(trial, rated, felt))
 
 
-def judge(
+def _judge(
     trial: Trial, rated: TrialRated, felt: Mapping[str, PartPlayed]
 ) -> Iterator[dict[str, Any]]:
-    """Describe each judgement of a trial, what the hand got of its playback included; stimuli keep their codes."""
+    """Describe each judgement of a trial, what the hand got of its playback included."""
     points = score_trial(trial, rated.values)
     for judgement in trial.judgements:
-        played = felt[judgement.part]
-        got = played.delivered
+        got = felt[judgement.part].delivered
         source = "sensor" if "coherence" in got else "certificate"  # only a sensor gives one
         yield {
             "protocol": trial.protocol,
@@ -140,28 +147,12 @@ def judge(
             "reference_id": judgement.reference_id,
             "scale": judgement.scale or trial.scale,
             "rating": points[judgement.key],
-            "onset_s": played.onset_s,
+            "onset_s": felt[judgement.part].onset_s,
             **{f"{name}_delivered": got.get(name, "") for name in MATCHES},
             "level_error_db": got.get("level_error_db", ""),
             "delivered_by": source if got else "",
             "other_id": find_other(trial, judgement),
         }
-
-
-def _name(
-    row: dict[str, Any], by_code: Mapping[str, Stimulus], levels: Mapping[str, float]
-) -> dict[str, Any]:
-    """Put names in the place of codes."""
-    stimulus = by_code[row["stimulus_id"]]
-    others = {name: by_code.get(row[name]) for name in ("reference_id", "other_id")}
-    return row | {
-        "stimulus_id": stimulus.stimulus_id,
-        "recording": stimulus.recording,
-        "reducer": stimulus.reducer,
-        "level": stimulus.level,
-        **{name: other.stimulus_id if other else row[name] for name, other in others.items()},
-        "sensation_level_db": levels.get(stimulus.stimulus_id, ""),
-    }
 
 
 # Strength as participants matched it, and what it says of stimuli that should be equally strong.
@@ -189,47 +180,30 @@ def list_matches(dossier: Dossier, stimuli: StimulusSet) -> Iterator[dict[str, A
             continue
         stimulus = by_code[trials[rated.trial].judgements[0].stimulus_id]
         offset_db = matching.find_offset(rated.trial, float(rated.values[SECOND]))
-        yield {
-            "participant": plan.participant,
-            "trial": rated.trial,
-            "stimulus_id": stimulus.stimulus_id,
-            "recording": stimulus.recording,
-            "reducer": stimulus.reducer,
-            "level": stimulus.level,
-            "offset_db": round(offset_db, 3),
-        }
+        row = {"participant": plan.participant, "trial": rated.trial}
+        yield row | _describe_stimulus(stimulus) | {"offset_db": round(offset_db, 3)}
 
 
-def summarise_matches(
-    rows: Iterable[Mapping[str, Any]],
-) -> dict[str, tuple[float, float, float, int]]:
-    """Average matches by reducer: mean offset in dB, its 95 % interval (NaN for one participant), participants."""
+def describe_matches(rows: Iterable[Mapping[str, Any]]) -> list[str]:
+    """Describe in one note how well strength was matched; nothing where it was not asked."""
     from scipy.stats import t
 
     own: dict[str, dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for row in rows:
         own[row["reducer"]][row["participant"]].append(row["offset_db"])
-    summary = {}
+    offsets = []
     for reducer in sorted(own):
         means = [fmean(offsets) for offsets in own[reducer].values()]
-        n, mean, half = len(means), fmean(means), math.nan
+        n, mean, interval = len(means), fmean(means), ""
         if n > 1:
             half = float(t.ppf(0.975, n - 1)) * stdev(means) / math.sqrt(n)
-        summary[reducer] = (mean, mean - half, mean + half, n)
-    return summary
-
-
-def describe_matches(rows: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Describe in one note how well strength was matched; nothing where it was not asked."""
-    if not (summary := summarise_matches(rows)):
+            interval = f" ({mean - half:+.1f} to {mean + half:+.1f})"
+        offsets.append(f"{reducer} {mean:+.1f} dB{interval}")
+    if not offsets:
         return []
-    offsets = ", ".join(
-        f"{reducer} {mean:+.1f} dB" + ("" if math.isnan(low) else f" ({low:+.1f} to {high:+.1f})")
-        for reducer, (mean, low, high, _) in summary.items()
-    )
-    n = max(n for *_, n in summary.values())
+    n = max(map(len, own.values()))
     return [
         f"Strength matched by {n} participant{'s' * (n != 1)}: to feel as strong as the recording itself, stimuli had "
-        f"to be played stronger by (95 % interval over participants) {offsets}. 0 dB means that the study's levels are "
-        "right; 'original' is the recording matched with itself."
+        f"to be played stronger by (95 % interval over participants) {', '.join(offsets)}. 0 dB means that the study's "
+        "levels are right; 'original' is the recording matched with itself."
     ]

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
+from math import prod
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_details, r
 from feel321.stimuli.sets.recipe import Recipe, describe_recipe
 from feel321.stimuli.sets.render import list_methods
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
-from feel321.study.numbers import find_station, plan_participants
+from feel321.study.numbers import Station, plan_participants
 from feel321.study.persons.answers import make_keeper
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Journal
@@ -82,7 +83,8 @@ def plan_sessions(
     def make(name: str, number: int) -> Plan:
         return make_plan(design, room.stimuli, name, number=number, simulated=simulated)
 
-    station = find_station(settings)
+    groups = prod(map(len, settings.between.values()))
+    station = Station(settings.stations.this, settings.stations.of, groups)
     return plan_participants(room.study, participants, make, simulated=simulated, station=station)
 
 

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import groupby
-from math import lcm, prod
 from typing import TYPE_CHECKING
 
 from feel321.doors import announce
 from feel321.files import is_held
 from feel321.protocols.agenda import SECONDS
 from feel321.protocols.order import TASK_ORDERS, measure_balance
-from feel321.protocols.tasks import count_rows, find_other, is_as_expected
+from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import minutes, people
+from feel321.study import minutes
 from feel321.study.freeze import describe_frozen
+from feel321.study.people import LOCK_FILE, Progress, describe_rigs, make_progress
 from feel321.study.session.events import (
     DeviceFailed,
     PageRead,
@@ -27,6 +28,7 @@ from feel321.study.session.events import (
     TrialRated,
     find_notices,
 )
+from feel321.study.session.journal import Records
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.thresholds import find_warnings, read_thresholds
 
@@ -37,21 +39,26 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Chain
+    from feel321.study.session.journal import Chain, Record
 
-    Sequences = dict[tuple[str, ...], list[list[str]]]
+    Known = dict[Path, tuple[Dossier, Progress, list[Trial]]]
 
-SESSION, TASKS = "session", "tasks"
-"""What is put in order where tasks are counterbalanced."""
+CALLED = "called"
+"""State of a session whose device failed until the experimenter comes."""
+
+GOING_ON = {"claimed", "running", "aborted", CALLED}
+"""States of those who have something left."""
+
+CALLED_FOR = "last called for: "
+"""How a warning begins that holds words of the device, which are not blind."""
 
 
 @dataclass(frozen=True, slots=True)
 class Evenness:
-    """How often conditions of one task met positions, and each other; cycle: participants of a full cycle."""
+    """How often conditions of one task met positions, and each other: the least and the most."""
 
     task: str
     what: str
-    cycle: int
     positions: tuple[int, int]
     carry_over: tuple[int, int]
 
@@ -73,64 +80,39 @@ def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> Balanc
     run = [(dossier, trials) for dossier, trials in begun if dossier.plan.simulated == simulated]
     if not run:
         return None
-    groups: dict[tuple[str, str], Sequences] = defaultdict(lambda: defaultdict(list))
+    groups: dict[tuple[str, str], dict[tuple[str, ...], list[list[str]]]]
+    groups = defaultdict(lambda: defaultdict(list))
     for dossier, trials in run:
         for task, what, among, conditions in _split(dossier.plan, trials):
             groups[task, what][among].append(conditions)
-    # Successive participants belong to successive groups, and each group has its own cycle.
-    plans = [dossier.plan for dossier, _ in run]
-    cycles = max(prod(map(len, plan.between.values())) for plan in plans)
-    # Shares of the recordings have none: who comes a full cycle later feels other recordings.
-    whole = [plan for plan in plans if plan.recordings_per_participant is None]
-    of_trials = cycles * any(plan.order == "williams" for plan in whole)
-    evenness = []
-    for (task, what), sequences in groups.items():
-        positions, carry_over = measure_balance(sequences.values())
-        round_of = lcm(*(count_rows(len(among)) for among in sequences))
-        evenness.append(
-            Evenness(
-                task=task,
-                what=what,
-                cycle=(cycles if what == TASKS else of_trials) * round_of,
-                positions=positions,
-                carry_over=carry_over,
-            )
-        )
+    evenness = [
+        Evenness(task, what, *measure_balance(sequences.values()))
+        for (task, what), sequences in groups.items()
+    ]
     over = [one.records for one, _ in run if one.records.has(SessionFinished)]
     finished = sum(not records.has(SessionReleased) for records in over)
     return BalanceAsRun(simulated, len(run), finished, tuple(evenness))
 
 
 def describe_balance(realised: BalanceAsRun | None) -> list[str]:
-    """Describe the balance of a study so far.
-
-    Examples
-    --------
-    >>> evenness = Evenness("abx", "stimuli", 6, (0, 1), (0, 2))
-    >>> describe_balance(BalanceAsRun(False, 4, 4, (evenness,)))[1]
-    '  abx, stimuli: 0 to 1 at each position, 0 to 2 after each other; even over 6, 2 to go'
-    """
+    """Describe the balance of a study so far."""
     if realised is None:
         return ["balance: no trial was run yet"]
     lines = [f"balance: {realised.finished} finished{' (simulated)' if realised.simulated else ''}"]
-    for entry in realised.evenness:
-        ends = (entry.positions, entry.carry_over)
-        places, neighbours = (" to ".join(map(str, end)) for end in ends)
-        left = -realised.finished % entry.cycle if entry.cycle else 0
-        circle = f"; even over {entry.cycle}, {left} to go" if entry.cycle else ""
-        lines.append(
-            f"  {entry.task}, {entry.what}: {places} at each position, {neighbours} after each other{circle}"
-        )
+    for one in realised.evenness:
+        places, neighbours = ("{} to {}".format(*ends) for ends in (one.positions, one.carry_over))
+        counts = f"{places} at each position, {neighbours} after each other"
+        lines.append(f"  {one.task}, {one.what}: {counts}")
     return lines
 
 
 def _split(
     plan: Plan, trials: Sequence[Trial]
 ) -> Iterator[tuple[str, str, tuple[str, ...], list[str]]]:
-    """Yield task (or `SESSION`), what was put in order, among which, and the order that it was run in."""
+    """Yield task (or `session`), what was put in order, among which, and the order that it was run in."""
     if plan.task_order != TASK_ORDERS[0] and len(plan.tasks) > 1:
         among = tuple(sorted(task.protocol for task in plan.tasks))
-        yield SESSION, TASKS, among, list(dict.fromkeys(trial.protocol for trial in trials))
+        yield "session", "tasks", among, list(dict.fromkeys(trial.protocol for trial in trials))
     planned = _gather_blocks(trial for trial in plan.trials if trial.phase == "main")
     run = _gather_blocks(trials)
     for block, own in run.items():
@@ -162,39 +144,11 @@ def _name_condition(trial: Trial) -> str:
     return "|".join(sorted({about.stimulus_id, other}))
 
 
-@dataclass(frozen=True, slots=True)
-class ParticipantStatus:
-    """Progress of one participant; a session that no live process writes is `aborted`, not `running`.
-
-    left_min: minutes that are left; None of those who do not go on, and where there is no stimulus set.
-    """
-
-    participant: str
-    state: str = ""
-    number: int = 0
-    groups: str = ""
-    answered: int = 0
-    given_up: int = 0
-    left: int = 0
-    simulated: bool = False
-    last_activity: str = ""
-    warnings: tuple[str, ...] = ()
-    problem: str = ""
-    notes: tuple[people.Note, ...] = ()
-    left_min: float | None = None
-    rig: people.RigUse | None = None
-
-    @property
-    def done(self) -> int:
-        """Trials that need no further attempt."""
-        return self.answered + self.given_up
-
-
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Status(Result):
     """Progress of a study; frozen: whether its choices are, in a line."""
 
-    participants: tuple[ParticipantStatus, ...]
+    participants: tuple[Progress, ...]
     balance: BalanceAsRun | None
     length: minutes.Length | None = None
     frozen: str = ""
@@ -203,19 +157,25 @@ class Status(Result):
         """Return one row per participant."""
         import pandas as pd
 
-        columns = [field.name for field in fields(ParticipantStatus)]
+        columns = [field.name for field in fields(Progress)]
         return pd.DataFrame([asdict(entry) for entry in self.participants], columns=columns)
 
     def summary(self) -> str:
         """Write what `feel321 status` prints."""
-        lines = [
-            f"{'participant':<14}{'state':<11}{'answered':>9}{'given up':>9}{'left':>5}{'min':>5}  last activity"
-        ]
-        for entry in self.participants:
-            lines += [_describe(entry), *(f"{'':<14}{warning}" for warning in entry.warnings)]
+        form = "{:<14}{:<11}{:>9}{:>9}{:>5}{:>5}  {}"
+        head = ("participant", "state", "answered", "given up", "left", "min", "last activity")
+        lines = [form.format(*head)]
+        for one in self.participants:
+            groups = ", ".join(f"{factor}={level}" for factor, level in one.groups.items())
+            notes = "; ".join(filter(None, ["simulated" if one.simulated else "", groups]))
+            tail = one.last_activity + f" ({notes})" * bool(notes)
+            left = "" if one.left_min is None else f"{one.left_min:.0f}"
+            row: tuple[object, ...] = (one.state, one.answered, one.given_up, one.left, left, tail)
+            row = ("?", "?", "?", "?", "", one.problem) if one.problem else row
+            lines.append(form.format(one.participant, *row).rstrip())
+            lines += [f"{'':<14}{warning}" for warning in one.warnings]
         length = [] if self.length is None else [self.length.describe()]
-        uses = [entry.rig for entry in self.participants if entry.rig]
-        lines += [*people.describe_rigs(uses), *length, *filter(None, [self.frozen])]
+        lines += [*describe_rigs(self.participants), *length, *filter(None, [self.frozen])]
         return "\n".join([*lines, *describe_balance(self.balance)])
 
     def list_notes(self) -> list[str]:
@@ -231,106 +191,91 @@ class Status(Result):
         return f"Status({states or 'no participants'})"
 
 
-def _describe(entry: ParticipantStatus) -> str:
-    if entry.problem:
-        return f"{entry.participant:<14}{'?':<11}{'?':>9}{'?':>9}{'?':>5}{'':5}  {entry.problem}"
-    notes = "; ".join(filter(None, ("simulated" if entry.simulated else "", entry.groups)))
-    tail = f"  {entry.last_activity}{f' ({notes})' if notes else ''}".rstrip()
-    left = "" if entry.left_min is None else f"{entry.left_min:.0f}"
-    counts = f"{entry.answered:>9}{entry.given_up:>9}{entry.left:>5}"
-    return f"{entry.participant:<14}{entry.state:<11}{counts}{left:>5}{tail}"
-
-
 def read_status(
-    study: StudyFolder, *, progress: Callable[[int, int], None] | None = None
+    study: StudyFolder, *, progress: Callable[[int, int], None] = lambda _done, _total: None
 ) -> Status:
     """Read the progress of a study, also while sessions run."""
-    entries: dict[str, ParticipantStatus] = {}
-    counted: list[tuple[Dossier, list[Trial]]] = []
-    folders = study.participants
-    for count, folder in enumerate(folders, start=1):
+    entries: dict[Path, Progress] = {}
+    known: Known = {}
+    for count, folder in enumerate(folders := study.participants, start=1):
         announce(folder.name)
-        entries[folder.name], own = read_participant(study, folder)
-        if own is not None:
-            counted.append(own)
-        if progress is not None:
-            progress(count, len(folders))
-    length = _add_minutes(study, entries, [dossier for dossier, _ in counted])
-    frozen = "" if study.is_rehearsal else describe_frozen(study)
-    return Status(tuple(entries.values()), measure_realised(counted), length, frozen)
-
-
-def _add_minutes(
-    study: StudyFolder, entries: dict[str, ParticipantStatus], dossiers: Sequence[Dossier]
-) -> minutes.Length | None:
-    """Add the minutes that participants have left, and measure how long whole sessions take."""
-    try:
+        entries[folder] = read_participant(study, folder, known)
+        progress(count, len(folders))
+    dossiers, length = [dossier for dossier, *_ in known.values()], None
+    with suppress(OSError, ValueError):  # there may be no stimulus set
         durations = minutes.find_durations(read_stimuli(study.stimuli))
-    except (OSError, ValueError):
-        return None
-    pace = minutes.observe_pace(dossiers, durations)
-    for dossier in dossiers:
-        entry = entries[dossier.plan.participant]
-        if entry.state in {"claimed", "running", "aborted"}:
-            left = minutes.find_left(dossier.plan, dossier.records, durations=durations, pace=pace)
-            entries[entry.participant] = replace(entry, left_min=max(left.values()) / SECONDS)
-    sittings = [
-        minutes.Sitting.plan(dossier.plan, dossier.plan.flow, durations) for dossier in dossiers
-    ]
-    return minutes.measure_length(sittings, pace) if sittings else None
+        pace = minutes.observe_pace(dossiers, durations)
+        entries |= add_minutes(entries, known, durations=durations, pace=pace)
+        sittings = [minutes.Sitting.plan(one.plan, one.plan.flow, durations) for one in dossiers]
+        length = minutes.measure_length(sittings, pace) if sittings else None
+    frozen = "" if study.is_rehearsal else describe_frozen(study)
+    balance = measure_realised((dossier, trials) for dossier, _, trials in known.values())
+    return Status(tuple(entries.values()), balance, length, frozen)
 
 
-def read_participant(
-    study: StudyFolder, folder: Path
-) -> tuple[ParticipantStatus, tuple[Dossier, list[Trial]] | None]:
-    """Read the status of a participant; with the trials that count for the balance, in the order that they were run."""
+def add_minutes(
+    entries: Mapping[Path, Progress],
+    known: Known,
+    *,
+    durations: Mapping[str, float],
+    pace: minutes.Pace,
+) -> dict[Path, Progress]:
+    """Add the minutes that participants have left who go on."""
+    added = {}
+    for folder, (dossier, *_) in known.items():
+        if entries[folder].state in GOING_ON:
+            plan, records = dossier.plan, dossier.records
+            left = minutes.find_left(plan, records, durations=durations, pace=pace)
+            added[folder] = replace(entries[folder], left_min=max(left.values()) / SECONDS)
+    return added
+
+
+def read_participant(study: StudyFolder, folder: Path, known: Known) -> Progress:
+    """Read the status of a participant; a session that no live process writes is `aborted`, not `running`.
+
+    known: takes the trials that count for the balance, in the order that they were run, and keeps what was derived for
+    as long as plan and journals are as they were.
+    """
+    before = known.pop(folder, None)
     if (folder / TOMBSTONE_FILE).exists():
-        return ParticipantStatus(folder.name, state="withdrawn"), None
+        return Progress(folder.name, state="withdrawn")
     try:
         dossier = study.read_person(folder)
-        progress = people.make_progress(dossier)
-        with read_as_written(dossier.newest):
+        if before is None or before[0] is not dossier:
             trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
-            rated = list_accepted(dossier)
-            warnings = tuple(_find_warnings(dossier, rated))
-            notes = tuple(people.list_notes(dossier.chains))
-            use = people.find_rig_use(progress.participant, dossier.records)
+            own = make_progress(dossier)
+            with read_as_written(dossier.newest):
+                rated = [one for one in dossier.records.find(TrialRated) if one.trial in trials]
+                rated = [one for one in rated if not one.rejected]
+                warnings = tuple(_find_warnings(dossier, rated))
+            before = dossier, replace(own, warnings=warnings), [trials[one.trial] for one in rated]
     except (OSError, ValueError) as error:
-        return ParticipantStatus(folder.name, problem=str(error)), None
-    is_left = progress.state == "running" and not is_held(folder / people.LOCK_FILE)
-    entry = ParticipantStatus(
-        participant=progress.participant,
-        state="aborted" if is_left else progress.state,
-        number=progress.number,
-        groups=", ".join(f"{factor}={level}" for factor, level in progress.groups.items()),
-        answered=progress.answered,
-        given_up=progress.given_up,
-        left=progress.total - progress.answered - progress.given_up,
-        simulated=progress.simulated,
-        last_activity=progress.last_utc,
-        warnings=warnings,
-        notes=notes,
-        rig=use,
-    )
-    return entry, (dossier, [trials[one.trial] for one in rated])
+        return Progress(folder.name, problem=str(error))
+    known[folder] = before
+    own = before[1]
+    calls = [one.event for one in dossier.records if _is_call(one)]
+    if calls[-1:] == [DeviceFailed.event]:
+        return replace(own, state=CALLED)
+    is_left = own.state == "running" and not is_held(folder / LOCK_FILE)
+    return replace(own, state="aborted") if is_left else own
 
 
-def list_accepted(dossier: Dossier) -> list[TrialRated]:
-    """List the answers of the newest session that count."""
-    numbers = {trial.number for trial in dossier.plan.trials if trial.phase == "main"}
-    rated = dossier.records.find(TrialRated)
-    return [one for one in rated if one.trial in numbers and not one.rejected]
+def _is_call(record: Record) -> bool:
+    """Check whether the experimenter was called, or the page of a call was left."""
+    is_page = record.event == PageRead.event and record.data.get("key") == "call_us"
+    return is_page or record.event == DeviceFailed.event
 
 
 def _find_warnings(dossier: Dossier, rated: Sequence[TrialRated]) -> Iterator[str]:
-    for chain in dossier.chains[-1:]:
-        yield from find_flags(chain)
-        for call in list(chain.records.find(DeviceFailed))[-1:]:
-            yield f"last called for: {call.reason}"
-    yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
-    caught = judge_catches(dossier.plan, rated)
-    if missed := caught.count(False):
-        yield f"{missed} of {len(caught)} catch trials not as expected"
+    if dossier.chains:
+        yield from find_flags(dossier.chains[-1])
+        yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
+    trials = {trial.number: trial for trial in dossier.plan.trials if trial.catch}
+    caught = [one for one in rated if one.trial in trials]
+    answers = [is_as_expected(trials[one.trial], one.values) for one in caught]
+    if missed := answers.count(False):
+        known = sum(answer is not None for answer in answers)
+        yield f"{missed} of {known} catch trials not as expected"
 
 
 def find_flags(chain: Chain) -> Iterator[str]:
@@ -343,13 +288,7 @@ def find_flags(chain: Chain) -> Iterator[str]:
         yield "training not passed"
     if calls := list(chain.records.find(DeviceFailed)):
         yield f"experimenter called: {len(calls)} x"
-    for said in find_notices(chain.records.find(PartPlayed)).values():
+        yield f"{CALLED_FOR}{calls[-1].reason}"
+    noticed = Records(record for record in chain.records if record.data.get("notice"))
+    for said in find_notices(noticed.find(PartPlayed)).values():
         yield f"{len(said)} x {said[0]}"
-
-
-def judge_catches(plan: Plan, rated: Iterable[TrialRated]) -> list[bool]:
-    """Check the answers to catch trials against what is expected."""
-    trials = {trial.number: trial for trial in plan.trials if trial.catch}
-    caught = [one for one in rated if one.trial in trials]
-    answers = [is_as_expected(trials[one.trial], one.values) for one in caught]
-    return [answer for answer in answers if answer is not None]

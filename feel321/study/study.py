@@ -245,13 +245,9 @@ class Study:
             Fail without this checkpoint.
         """
         from feel321.study.auditing.study import examine
-        from feel321.study.freeze import describe_frozen, find_faults
 
         with follow(self.progress, "audit") as step:
-            found = examine(self.folder, expect=expect, remotes=remotes, progress=step)
-        findings = (*found.findings, *find_faults(self.folder))
-        remarks = (*found.remarks, *filter(None, [describe_frozen(self.folder)]))
-        return Audit(findings, remarks, found.sentence, found.checkpoint)
+            return examine(self.folder, expect=expect, remotes=remotes, progress=step)
 
     def seal(self, reason: str = "", *, to: str = "") -> Seal:
         """Take a checkpoint of the study, and push it to its remotes.

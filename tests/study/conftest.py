@@ -43,20 +43,28 @@ reducers = ["sax321", "mag321", "dft321"]
 draws = 200
 """
 
-SMALLEST_STUDY = """
-[[recordings]]
-scene = "bumps"
-duration_s = 0.1
-[stimuli]
-reducers = ["sax321", "mag321"]
-reference = "none"
-anchors = false
-[session]
-protocols = ["realism"]
-[session.rehearsal]
-training = 0
-practice = 0
-"""
+BARE = 'reference = "none"\nanchors = false\n'
+
+
+def make_settings(
+    *scenes: str,
+    duration_s: float = 0.1,
+    reducers: tuple[str, ...] = ("sax321", "mag321"),
+    stimuli: str = BARE,
+    protocol: str = "realism",
+    session: str = "",
+) -> str:
+    """The settings of a small study without rehearsal; stimuli, session: what those tables hold besides."""
+    recordings = [f'[[recordings]]\nscene = "{one}"\nduration_s = {duration_s}\n' for one in scenes]
+    tables = (
+        f"[stimuli]\nreducers = {[*reducers]}\n{stimuli}",
+        f'[session]\nprotocols = ["{protocol}"]\n{session}',
+        "[session.rehearsal]\ntraining = 0\npractice = 0\n",
+    )
+    return "".join([*recordings, *tables])
+
+
+SMALLEST_STUDY = make_settings("bumps")
 
 # Spectral and temporal match of the made-up reducers: not collinear, so that planted effects can be told apart.
 MATCHES = {"first": (0.9, 0.2), "second": (0.7, 0.6), "third": (0.2, 0.5), "fourth": (-3.0, 0.1)}

@@ -11,7 +11,8 @@ from filelock import FileLock
 
 from feel321.files import hold_lock, is_held
 from feel321.study.folder import StudyFolder
-from feel321.study.session.journal import require_journal
+from feel321.study.session.events import SessionReleased
+from feel321.study.session.journal import read_journal, require_journal, write_line
 from feel321.study.session.plan import make_plan
 from feel321.study.session.ports import Confirm, Playback
 from feel321.study.status import describe_balance, read_status
@@ -65,7 +66,7 @@ def test_states_follow_the_journal(present: Present, scripted: type, tmp_path: P
         pass
     require_journal(
         folder / "session-01.jsonl", now=lambda: datetime(2027, 1, 1, tzinfo=UTC)
-    ).write("released", {})
+    ).write(SessionReleased())
     assert [entry.state for entry in read_status(study).participants] == ["released"]
     (folder / "session-01.jsonl").unlink()
     assert [entry.state for entry in read_status(study).participants] == ["claimed"]
@@ -112,20 +113,18 @@ def test_trials_that_were_given_up_are_counted_apart(
 
 
 def test_records_of_another_make_are_the_problem_of_their_participant(
-    present: Present,
-    scripted: type,
-    design: Design,
-    stimuli: StimulusSet,
-    tmp_path: Path,
-    now: Callable[[], datetime],
+    present: Present, scripted: type, design: Design, stimuli: StimulusSet, tmp_path: Path
 ) -> None:
     for number, name in enumerate(("p01", "p02"), start=1):
         plan = make_plan(design, stimuli, name, number=number, simulated=True)
         with pytest.raises(KeyboardInterrupt):
             present(scripted(stop_after=number), plan=plan)
-    require_journal(tmp_path / "sessions" / "p01" / "session-01.jsonl", now=now).write(
-        "rated", {"trial": 2}
+    path = tmp_path / "sessions" / "p01" / "session-01.jsonl"
+    chain = read_journal(path)
+    forged = replace(
+        chain.records[-1], sequence=len(chain.records), event="rated", data={"trial": 2}
     )
+    path.write_bytes(path.read_bytes() + write_line(forged, chain.tip))
     broken, fine = read_status(StudyFolder(tmp_path)).participants
     assert broken.problem.startswith(
         f"{tmp_path / 'sessions' / 'p01' / 'session-01.jsonl'}, line 10: is not a 'rated' record"
@@ -165,29 +164,21 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     assert describe_balance(None) == ["balance: no trial was run yet"]
     realised = hold(10)  # Two recordings take 2 orders, five stimuli 10.
     assert (realised.participants, realised.finished) == (10, 10)
-    assert {(e.task, e.what): (e.cycle, e.positions) for e in realised.evenness} == {
-        ("realism", "stimuli"): (10, (2, 2)),
-        ("realism", "recordings"): (2, (5, 5)),
-        ("similarity", "stimuli"): (10, (2, 2)),
-        ("similarity", "recordings"): (2, (5, 5)),
+    assert {(e.task, e.what): e.positions for e in realised.evenness} == {
+        ("realism", "stimuli"): (2, 2),
+        ("realism", "recordings"): (5, 5),
+        ("similarity", "stimuli"): (2, 2),
+        ("similarity", "recordings"): (5, 5),
     }
     shutil.rmtree(tmp_path / "sessions" / "n04")
     lines = describe_balance(read_status(StudyFolder(tmp_path)).balance)
     assert lines[0] == "balance: 9 finished (simulated)"
     assert lines[1].startswith("  realism, stimuli: 1 to 2 at each position, ")
-    assert lines[1].endswith("; even over 10, 1 to go")
 
 
-def test_groups_go_round_their_own_circles(hold: Hold) -> None:
-    realised = hold(10, between={"grip": ("pen", "power")})
-    assert [entry.cycle for entry in realised.evenness] == [20, 20, 4, 4]
-
-
-def test_counterbalanced_tasks_have_a_circle_of_their_own(hold: Hold) -> None:
+def test_counterbalanced_tasks_have_a_balance_of_their_own(hold: Hold) -> None:
     lines = describe_balance(hold(3, task_order="counterbalanced", order="random"))
-    assert lines[1] == (
-        "  session, tasks: 1 to 2 at each position, 1 to 2 after each other; even over 2, 1 to go"
-    )
+    assert lines[1] == "  session, tasks: 1 to 2 at each position, 1 to 2 after each other"
 
 
 def test_simulated_participants_do_not_fill_the_places_of_real_ones(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields, replace
+from dataclasses import fields
 from itertools import islice, takewhile
 from math import isclose, nan
 from pathlib import Path
@@ -24,9 +24,14 @@ if TYPE_CHECKING:
 MALFORMED = (AttributeError, LookupError, TypeError, RecursionError, ArithmeticError)
 """Errors of reading a plan or record that holds other fields, or other types, than feel321 writes."""
 
+_OPENING = (events.SessionBegun, events.SessionResumed)
+_KEEPING = (
+    *events.REPAIRS, events.DeviceOpened, events.NoteTaken, events.RigAccepted, events.WarmUpBegun,
+)  # fmt: skip
+"""Events that begin the opening of a session, and that belong to it."""
+
 _ANY = (
-    events.SessionResumed, events.DeviceOpened, events.NoteTaken, events.RigAccepted, events.WarmUpBegun,
-    events.SessionSuperseded, events.SessionReleased, events.SessionAborted,
+    *_KEEPING, events.SessionResumed, events.SessionSuperseded, events.SessionReleased, events.SessionAborted,
 )  # fmt: skip
 """Events that the engine does not decide on: one may come anywhere, and whatever was going on is over."""
 
@@ -42,22 +47,55 @@ _AFTER: Mapping[str, tuple[type[events.SessionEvent], ...]] = {
 }
 """The events that may follow at the start, and after each event that ends a session."""
 
+_REPAIRS = {kind.event for kind in events.REPAIRS}
+_OTHERS = {kind.event for kind in _ANY} - _REPAIRS
+_PLAYED = [one.name for one in fields(events.Played)]
+
 
 def audit_steps(records: Sequence[Record], plan: Plan) -> Iterator[str]:
     """Run a session again as its journal tells it; the first line that cannot have been is given."""
+    paper = _Paper(records)
     try:
-        rerun = _Rerun(records, plan)
+        _follow(paper, plan)
     except (*MALFORMED, ValueError) as error:
-        yield f": its plan cannot be worked through ({error!r})"
-        return
-    paper = rerun.paper
-    try:
-        rerun.follow()
-    except ValueError as error:
-        place = "" if str(error).startswith("line ") else f"line {len(paper.records) + 1}: "
-        yield f", {place}{error}"
-    except MALFORMED as error:
-        yield f", line {len(paper.records) + 1}: is not a record as feel321 writes it ({error!r})"
+        is_said = isinstance(error, ValueError)
+        text = str(error) if is_said else f"is not a record as feel321 writes it ({error!r})"
+        place = "" if text.startswith("line ") else f"line {len(paper.records) + 1}: "
+        yield f", {place}{text}"
+
+
+def _follow(paper: _Paper, plan: Plan) -> None:
+    """Follow a journal to its end: the engine leads, and in between stands what others did."""
+    answered = [one for one in paper.truth if one.event == events.QuestionAnswered.event]
+    tape: Any = _Tape(paper)
+    stimuli: Any = defaultdict(lambda: None)
+    scales: Any = defaultdict(lambda: Scale("", "", "", ""))
+    keep = tape.keep if any(one.data.get("sha256") for one in answered) else None
+    session = Session(plan, tape, paper, stimuli=stimuli, scales=scales, keep=keep)
+    state, is_open = "", False
+    while paper.is_left:
+        kind = events.find_kind(paper.truth[len(paper.records)].event)
+        if not issubclass(kind, events.REPAIRS):
+            _check_place(kind, state)
+        if issubclass(kind, (events.SessionBegun, *_ANY)):
+            event = paper.truth[len(paper.records)].content
+            paper.take()
+            session.take(event)
+            is_open = issubclass(kind, _OPENING) or (is_open and issubclass(kind, _KEEPING))
+        elif is_open:
+            with suppress(_Over):
+                session.lead()
+            kind, is_open = events.find_kind(paper.records[-1].event), False
+        else:
+            raise ValueError(f"holds {kind.event!r}, and the session was not opened again")
+        state = kind.event if kind.event in _AFTER or kind is events.SessionBegun else state
+
+
+def _check_place(kind: type[events.SessionEvent], state: str) -> None:
+    allowed = _AFTER.get(state)
+    if (kind is events.SessionBegun) if allowed is None else not issubclass(kind, allowed):
+        place = f"after {state!r}" if state else "first"
+        raise ValueError(f"holds {kind.event!r}, which cannot come {place}")
 
 
 class _Over(Exception):  # noqa: N818 - nothing went wrong
@@ -83,38 +121,35 @@ class _Paper(Journal):
     def look(self) -> events.SessionEvent:
         """Look at what comes next, unless the session was broken off here."""
         while self.is_left:
-            event = self.truth[len(self.records)].content
-            if isinstance(event, _ANY):
+            record = self.truth[len(self.records)]
+            if record.event in _OTHERS:
                 break
-            if not isinstance(event, events.REPAIRS):
-                return event
+            if record.event not in _REPAIRS:
+                return record.content
             self.take()
         raise _Over
 
     def write(self, event: events.SessionEvent) -> None:
         """Compare what the engine writes with what stands there."""
         told = self.look()
-        if told != event:
-            self._compare(told, event)
-        self.take()
-
-    def _compare(self, told: events.SessionEvent, event: events.SessionEvent) -> None:
         if type(told) is not type(event):
             due = repr(event.event)
             if isinstance(event, events.ActRefused):
                 due = " ".join([f"{due}, for it is", event.reason, *event.parts])
             raise ValueError(f"holds {told.event!r}, by what came before it is {due}")
-        if isinstance(event, events.DeviceFailed) and isinstance(told, events.DeviceFailed):
-            event = replace(event, reason=told.reason)  # words for people
-        for one in fields(told):
+        for one in fields(told) if told != event else ():
             got, due = getattr(told, one.name), getattr(event, one.name)
-            if got != due and not (one.name == "level_db" and _is_close(got, due)):
-                place = f"{told.event!r} has {one.name} {got!r}"
-                raise ValueError(f"{place}, by the plan and what came before it is {due!r}")
+            if got == due or (one.name == "level_db" and _is_close(got, due)):
+                continue
+            if isinstance(told, events.DeviceFailed) and one.name == "reason":  # words for people
+                continue
+            place = f"{told.event!r} has {one.name} {got!r}"
+            raise ValueError(f"{place}, by the plan and what came before it is {due!r}")
+        self.take()
 
 
 def _is_close(one: float | None, other: float | None) -> bool:
-    """Whether two levels are the same but for the processor's rounding."""
+    """Check whether two levels are the same but for the processor's rounding."""
     return one is not None and other is not None and isclose(one, other, abs_tol=1e-6)
 
 
@@ -133,14 +168,14 @@ class _Tape:
             return told
         raise ValueError(f"holds {told.event!r} where {due} is due")
 
-    def show_page(self, page: Page, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the form of a presenter
+    def show_page(self, page: Page, _place: ports.Place) -> ports.Confirm:
         self._page = f"page {page.key!r}"
         if page.key == "pause":
             return ports.Confirm(self._expect(events.TrialContinued, self._page).time_s, {})
         told = self._expect(events.PageRead, self._page)
         return ports.Confirm(told.time_s, {}, told.stood_s)
 
-    def show_question(self, question: Question, place: ports.Place) -> ports.Confirm:  # noqa: ARG002 - the form of a presenter
+    def show_question(self, question: Question, _place: ports.Place) -> ports.Confirm:
         """Give the answer that was given; of one that is kept apart, any that could be."""
         self._page = f"question {question.name!r}"
         told = self._expect(events.QuestionAnswered, self._page)
@@ -155,7 +190,7 @@ class _Tape:
     def keep(self, *_: object) -> str:
         return str(getattr(self._paper.look(), "sha256", ""))
 
-    def show_trial(self, trial: Trial, scale: Scale, place: ports.Place) -> None:  # noqa: ARG002 - the form of a presenter
+    def show_trial(self, trial: Trial, _scale: Scale, place: ports.Place) -> None:
         self._page, self._attempt = "", events.Attempt(trial, place.attempt)
         self._played.clear()
 
@@ -167,7 +202,7 @@ class _Tape:
         self._played.add(key)
         self._attempt.follow(told)
         known: dict[str, Any] = {name: getattr(told, name) for name in _PLAYED}
-        later = self._list_coming()
+        later = list(islice(self._list_coming(), 2))
         paused = later[1] if len(later) > 1 else None
         act = ports.Pause(paused.time_s) if isinstance(paused, events.TrialPaused) else None
         return ports.Playback(**known, act=act)
@@ -175,15 +210,13 @@ class _Tape:
     def prompt(self, part: Part) -> ports.Playback:
         return self.play(part)
 
-    def _list_coming(self) -> list[events.SessionEvent]:
+    def _list_coming(self) -> Iterator[events.SessionEvent]:
         """List the playbacks that come next, and what follows on them."""
-        coming: list[events.SessionEvent] = []
         for record in islice(self._paper.truth, len(self._paper.records), None):
             if record.event not in _REPAIRS:
-                coming.append(record.content)
-                if not isinstance(coming[-1], events.PartPlayed):
-                    break
-        return coming
+                yield record.content
+                if not isinstance(record.content, events.PartPlayed):
+                    return
 
     def wait(self, limit_s: float | None = None) -> ports.Act:
         act: ports.Act | None = None
@@ -200,7 +233,7 @@ class _Tape:
             case events.TrialRated():
                 act = ports.Confirm(told.time_s, told.values, told.response_time_s)
             case events.ActRefused():
-                act = self._refused(told)
+                act = self._refuse_again(told)
         if act is None:
             raise ValueError(f"holds {told.event!r} where an answer is due")
         return act
@@ -210,13 +243,13 @@ class _Tape:
         if isinstance(told, events.PartReplayed):
             return ports.Feel(told.time_s, told.part)
         names = [part.name for part in self._attempt.trial.parts]
-        coming = [one.part for one in self._list_coming() if isinstance(one, events.PartPlayed)]
+        coming = (one.part for one in self._list_coming() if isinstance(one, events.PartPlayed))
         pairs = takewhile(lambda pair: pair[0] == pair[1], zip(coming, names, strict=False))
         unfelt = self._attempt.list_unfelt()
         is_all = any(name not in unfelt for name, _ in pairs)
         return ports.Feel(told.requested_s, "" if is_all else told.part)
 
-    def _refused(self, told: events.ActRefused) -> ports.Act:
+    def _refuse_again(self, told: events.ActRefused) -> ports.Act:
         """Do what is refused for the reason that stands there."""
         trial = self._attempt.trial
         if told.reason == "no_replay":
@@ -227,60 +260,7 @@ class _Tape:
         given = {part: sure for part in trial.judged if part not in told.parts}
         return ports.Confirm(told.time_s, given)
 
-    def refuse(self, reason: str, parts: Iterable[str]) -> None:  # noqa: ARG002 - the form of a presenter
+    def refuse(self, reason: str, _parts: Iterable[str]) -> None:
         """Hear that an act is refused: what stands in the journal was taken."""
         if self._page:
             raise ValueError(f"leaves {self._page}, which is not left so ({reason})")
-
-
-_REPAIRS = {kind.event for kind in events.REPAIRS}
-_PLAYED = [one.name for one in fields(events.Played)]
-
-
-class _Rerun:
-    """A session, run again: what the engine leads through, and where others act."""
-
-    def __init__(self, records: Sequence[Record], plan: Plan) -> None:
-        self.paper = paper = _Paper(records)
-        answered = [one for one in records if one.event == events.QuestionAnswered.event]
-        is_apart = any(one.data.get("sha256") for one in answered)
-        tape: Any = _Tape(paper)
-        stimuli: Any = defaultdict(lambda: None)
-        scales: Any = defaultdict(lambda: Scale("", "", "", ""))
-        keep = tape.keep if is_apart else None
-        self._session = Session(plan, tape, paper, stimuli=stimuli, scales=scales, keep=keep)
-
-    def follow(self) -> None:
-        """Follow the journal to its end."""
-        paper, state, is_open = self.paper, "", False
-        while paper.is_left:
-            kind = events.find_kind(paper.truth[len(paper.records)].event)
-            if not issubclass(kind, events.REPAIRS):
-                _check_place(kind, state)
-            if not issubclass(kind, (events.SessionBegun, *_ANY, *events.REPAIRS)):
-                if not is_open:
-                    raise ValueError(f"holds {kind.event!r}, and the session was not opened again")
-                with suppress(_Over):
-                    self._session.lead()
-                kind, is_open = events.find_kind(paper.records[-1].event), False
-            else:
-                event = paper.truth[len(paper.records)].content
-                paper.take()
-                self._session.take(event)
-                is_open = issubclass(kind, _OPENING) or (is_open and issubclass(kind, _KEEPING))
-            if kind.event in _AFTER or kind is events.SessionBegun:
-                state = kind.event
-
-
-def _check_place(kind: type[events.SessionEvent], state: str) -> None:
-    allowed = _AFTER.get(state)
-    if (kind is events.SessionBegun) if allowed is None else not issubclass(kind, allowed):
-        place = f"after {state!r}" if state else "first"
-        raise ValueError(f"holds {kind.event!r}, which cannot come {place}")
-
-
-_OPENING = (events.SessionBegun, events.SessionResumed)
-_KEEPING = (
-    *events.REPAIRS, events.DeviceOpened, events.NoteTaken, events.RigAccepted, events.WarmUpBegun,
-)  # fmt: skip
-"""Events that begin the opening of a session, and that belong to it."""

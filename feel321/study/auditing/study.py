@@ -10,38 +10,32 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
-from dataclasses import dataclass
-from itertools import zip_longest
+from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.doors import announce
+from feel321.files import digest_file
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study.auditing.evidence import Evidence, weigh
-from feel321.study.auditing.journals import audit_journals, guard
-from feel321.study.auditing.replay import MALFORMED
-from feel321.study.auditing.tables import Tables, audit_inputs
+from feel321.study.auditing.replay import MALFORMED, audit_steps
+from feel321.study.auditing.tables import Tables
+from feel321.study.folder import DELIVERED, Audit, name_delivered
+from feel321.study.freeze import describe_frozen, find_faults
 from feel321.study.numbers import Holder, find_doubles, read_holder
-from feel321.study.people import RigUse, describe_rigs, find_leftovers, find_rig_use
+from feel321.study.people import describe_rigs, find_leftovers
+from feel321.study.persons.answers import audit_personal
 from feel321.study.persons.withdrawal import find_data_left, list_stale
-from feel321.study.session.journal import Chain, list_journals
-from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Dossier, require_plan
+from feel321.study.ratings import find_misplaced
+from feel321.study.session import events
+from feel321.study.session.journal import Chain, Record, list_journals, name_journal, read_journal
+from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Dossier, Plan, require_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
-
-
-@dataclass(frozen=True, slots=True)
-class Examined:
-    """What an audit found; checkpoint: the newest, sentence: how far the evidence reaches."""
-
-    findings: tuple[str, ...]
-    remarks: tuple[str, ...]
-    sentence: str
-    checkpoint: str
 
 
 def examine(
@@ -50,37 +44,48 @@ def examine(
     expect: str = "",
     remotes: Sequence[str] = (),
     progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> Examined:
+) -> Audit:
     """Verify a study by itself, and by its checkpoints; expect: one that must be there, remotes: further ones."""
-    findings = [
-        f"{path}: not a participant's folder; move it out of {study.sessions}"
-        for path in study.strangers
-    ]
+    remedy = f"not a participant's folder; move it out of {study.sessions}"
+    findings = [f"{path}: {remedy}" for path in study.strangers]
     folders, stimuli = study.participants, None
     if folders or study.stimuli.exists():
         findings += check_stimuli(study.stimuli)
         with suppress(OSError, ValueError):  # among the findings already
             stimuli = read_stimuli(study.stimuli)
-            findings += guard(study.stimuli, _audit_details(stimuli))
-    tables, holders, uses = Tables(study, stimuli), list[Holder](), list[RigUse]()
+            findings += _guard(study.stimuli, _audit_details(stimuli))
+    tables, holders = Tables(study, stimuli), list[Holder]()
     for done, folder in enumerate(folders, start=1):
         announce(folder.name)
-        findings += guard(folder, _audit_participant(folder, stimuli, tables, uses=uses))
+        findings += _guard(folder, _audit_participant(folder, stimuli, tables))
         with suppress(OSError, ValueError):  # of a plan that is among the findings
             holders += filter(None, [read_holder(folder)])
         progress(done, len(folders))
-    findings += [*find_doubles(holders), *guard(study.path, find_data_left(study))]
+    findings += [*find_doubles(holders), *_guard(study.path, find_data_left(study))]
     wrong, older = tables.compare()
     evidence = Evidence() if study.is_rehearsal else weigh(study, expect=expect, remotes=remotes)
-    stale = guard(study.path, list_stale(study))
-    remarks = [*evidence.remarks, *older, *audit_inputs(study), *describe_rigs(uses), *stale]
-    every = dict.fromkeys([*findings, *wrong, *evidence.findings])
-    return Examined(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)
+    remarks = [*evidence.remarks, *older, *describe_rigs(tables.people)]
+    remarks += [*_guard(study.path, list_stale(study)), *filter(None, [describe_frozen(study)])]
+    every = dict.fromkeys([*findings, *wrong, *evidence.findings, *find_faults(study)])
+    return Audit(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)
 
 
 def audit_study(study: StudyFolder) -> list[str]:
     """Verify all plans, journals and stimuli of a study, the tables and the checkpoints."""
     return list(examine(study).findings)
+
+
+def _guard(place: Path, findings: Iterable[str]) -> Iterator[str]:
+    """Make one finding of what cannot be looked at, so that everything else is."""
+    try:
+        yield from findings
+    except (OSError, ValueError) as error:
+        named = getattr(error, "filename", None)  # the system's own words name it last
+        text = f"{named}: {getattr(error, 'strerror', '')}" if named else str(error)
+        yield text if str(place) in text else f"{place}: {text}"
+    except MALFORMED as error:
+        text = f"holds what feel321 does not write ({type(error).__name__}: {error})"
+        yield f"{place}: {text}; restore it from a copy"
 
 
 def _audit_details(stimuli: StimulusSet) -> Iterator[str]:
@@ -91,9 +96,7 @@ def _audit_details(stimuli: StimulusSet) -> Iterator[str]:
         yield f"{stimuli.folder}: {text}"
 
 
-def _audit_participant(
-    folder: Path, stimuli: StimulusSet | None, tables: Tables, *, uses: list[RigUse]
-) -> Iterator[str]:
+def _audit_participant(folder: Path, stimuli: StimulusSet | None, tables: Tables) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists():
         yield from find_leftovers(folder)
         return
@@ -114,5 +117,91 @@ def _audit_participant(
     with suppress(*MALFORMED, OSError, ValueError):  # among the findings
         tables.take(dossier)
         tables.unread.discard(folder.name)
-    with suppress(*MALFORMED, OSError, ValueError):
-        uses.append(find_rig_use(folder.name, dossier.records))
+
+
+# Journals: each chain, its header and times, and how one session follows another.
+
+
+def audit_journals(
+    folder: Path, plan: Plan, chains: dict[Path, Chain] | None = None
+) -> Iterator[str]:
+    """Verify all journals of a participant; chains: filled with those that can be read."""
+    chains, journals = {} if chains is None else chains, list_journals(folder)
+    for path in sorted(folder.glob("session-*.jsonl")):  # Copies under other names too.
+        yield from _guard(path, _audit_journal(path, plan, chains))
+    for session, path in enumerate(journals, start=1):
+        if path.name != name_journal(session):
+            yield f"{path}: is there without {name_journal(session)} before it"
+            return
+        if path == journals[-1] or path not in chains:
+            continue
+        superseded = events.SessionSuperseded.event
+        by = [one.data.get("by") for one in chains[path].records if one.event == superseded]
+        if session + 1 not in by:
+            yield f"{path}: does not mention {name_journal(session + 1)}, which stands beside it"
+
+
+def _audit_journal(path: Path, plan: Plan, chains: dict[Path, Chain]) -> Iterator[str]:
+    chains[path] = chain = read_journal(path)
+    if chain.torn:
+        yield f"{path}: ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
+    try:
+        header = chain.records.find_header()
+    except ValueError as error:
+        yield f"{path}, {error}"
+        return
+    if header is not None:
+        places = (
+            find_misplaced(path, header, plan),
+            _audit_header(header, plan, path),
+            _audit_content(chain, plan, path.parent),
+        )
+        for findings in places:
+            yield from (f"{path}{finding}" for finding in findings)
+        return
+    # A crash may have come before it, and nobody come back.
+    allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
+    if not {record.event for record in chain.records} <= allowed:
+        yield f"{path}: has no header"
+
+
+def _audit_header(header: events.SessionBegun, plan: Plan, path: Path) -> Iterator[str]:
+    """Compare the header with the plan, and with where the journal is."""
+    presenter = header.identity.get("presenter", {})
+    is_simulated = presenter.get("simulated")
+    if is_simulated is not plan.simulated:
+        yield f", line 1: has simulated {is_simulated}, the plan says {plan.simulated}"
+    if not is_simulated and "observer" in presenter:
+        yield ", line 1: has simulated false, and a simulated observer in the place of a participant"
+    if presenter.get("rehearsal") and path.parent.parent.name == "sessions":
+        yield ", line 1: is a rehearsal; move it out of sessions/"
+    for name in ("seed", "stimuli_sha256"):
+        if (got := getattr(header, name)) != (planned := getattr(plan, name)):
+            yield f", line 1: has {name} {got}, the plan says {planned}"
+
+
+def _audit_content(chain: Chain, plan: Plan, folder: Path) -> Iterator[str]:
+    """Check that time runs forwards, run the session again, and where that holds look at the files that it names."""
+    for before, record in pairwise(chain.records):
+        if record.utc < before.utc and record.event != events.ClockStepped.event:
+            yield f", line {record.sequence + 1}: is older than the line before, and nothing says why"
+    steps = list(audit_steps(chain.records, plan))
+    yield from steps
+    if steps:  # records need not be as they should
+        return
+    for record, path, sha256 in list_files(chain.records, folder):
+        name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
+        if not path.is_file():
+            yield f"{name} is gone; restore it from a copy"
+        elif digest_file(path) != sha256:
+            yield f"{name} was changed since it was written; restore it from a copy"
+    yield from audit_personal(folder, chain.records)
+
+
+def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
+    """List the files of what was rendered or measured: who names them, where they are, their digest."""
+    for record in records:
+        played = record.content if record.event == events.PartPlayed.event else None
+        if isinstance(played, events.PartPlayed) and played.delivered_sha256:
+            name = name_delivered(int(played.measured.get("file_number", 0)))
+            yield record, folder / DELIVERED / name, played.delivered_sha256

@@ -1,4 +1,4 @@
-"""The tables that are derived from the journals, against the journals, and whether the report was made of them.
+"""The tables that are derived from the journals, against the journals.
 
 A table may be older than the journals: it lacks what was recorded since, and nothing else. What it holds must be what
 the journals say, row by row.
@@ -7,24 +7,21 @@ the journals say, row by row.
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections import defaultdict
 from collections.abc import Mapping
 from itertools import chain
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from feel321 import intake
-from feel321.files import digest_file, list_csv
+from feel321.files import list_csv
 from feel321.study.folder import RATING_COLUMNS
 from feel321.study.people import ROSTER_FILE, Progress, list_roster, make_progress
 from feel321.study.persons import answers
 from feel321.study.ratings import MATCH_COLUMNS, MATCHES_FILE, list_judgements, list_matches
-from feel321.study.session.plan import TOMBSTONE_FILE
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
+    from collections.abc import Sequence
 
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
@@ -34,30 +31,16 @@ Row = Mapping[str, str]
 
 ANEW = "derive it anew: feel321 analyze"
 
-RATED = ("participant", "session", "trial", "stimulus_id", "reference_id", "scale", "other_id")
-ASKED = ("participant", "session", "question", "occasion")
+KEYS = {
+    ROSTER_FILE: ("participant",),
+    "ratings.csv": ("participant", "session", "trial", "stimulus_id", "reference_id", "scale", "other_id"),
+    answers.ANSWERS_FILE: ("participant", "session", "question", "occasion"),
+    MATCHES_FILE: ("participant", "trial", "stimulus_id"),
+}  # fmt: skip
+"""Columns that name a row."""
 
 FIXED = {"participant", "number", "simulated", "first_utc", "total"}
 """Columns of the roster that do not change as a session goes on."""
-
-
-class Derived(NamedTuple):
-    """What a table should hold; key: columns that name a row; lagging: columns that change as a session goes on."""
-
-    path: Path
-    columns: Sequence[str]
-    key: tuple[str, ...]
-    rows: list[dict[str, Any]]
-    lagging: frozenset[str] = frozenset({"rejected"})  # a session that was begun anew is so
-
-    def name(self, row: Row) -> tuple[str, ...]:
-        """Name a row by its key."""
-        return tuple(row.get(one) or "" for one in self.key)
-
-    def describe(self, row: Row) -> str:
-        """Describe a row that is not there."""
-        label = ", ".join(f"{one} {row[one]}" for one in self.key if row[one])
-        return f"the row of {label}, which the journals have"
 
 
 class Tables:
@@ -65,99 +48,90 @@ class Tables:
 
     def __init__(self, study: StudyFolder, stimuli: StimulusSet | None) -> None:
         self._study, self._stimuli = study, stimuli
-        self._people = list[Progress]()
+        self.people = list[Progress]()
         self._rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
         self.unread = set[str]()
 
     def take(self, dossier: Dossier) -> None:
         """Derive the rows of a participant."""
-        self._people.append(make_progress(dossier))
+        self.people.append(make_progress(dossier))
         if self._stimuli:
-            self._rows["rated"] += list_judgements(dossier, self._stimuli)
-            self._rows["matched"] += list_matches(dossier, self._stimuli)
-            self._rows["asked"] += answers.list_answers(dossier)
+            self._rows["ratings.csv"] += list_judgements(dossier, self._stimuli)
+            self._rows[MATCHES_FILE] += list_matches(dossier, self._stimuli)
+            self._rows[answers.ANSWERS_FILE] += answers.list_answers(dossier)
 
     def compare(self) -> tuple[list[str], list[str]]:
         """Compare all tables that are there with the journals; returns findings and remarks."""
-        findings: list[str] = []
-        remarks: list[str] = []
-        study, rows = self._study, self._rows
-        columns, people = list_roster(self._people)
-        roster = study.path / ROSTER_FILE
-        tables = [Derived(roster, columns, ("participant",), people, frozenset(columns) - FIXED)]
-        if self._stimuli and study.participants:  # without, ratings may come from elsewhere
-            asked, matched = study.path / answers.ANSWERS_FILE, study.path / MATCHES_FILE
-            tables += [
-                Derived(study.ratings, RATING_COLUMNS, RATED, rows["rated"]),
-                Derived(asked, answers.COLUMNS, ASKED, rows["asked"]),
-                Derived(
-                    matched, MATCH_COLUMNS, ("participant", "trial", "stimulus_id"), rows["matched"]
-                ),
-            ]
-        for table in tables:
-            if study.is_rehearsal or not table.path.is_file():
-                continue
-            derived = list(list_csv(table.columns, table.rows))
-            if table.path.read_bytes() == "".join(derived).encode():
+        findings, remarks = list[str](), list[str]()
+        columns = {ROSTER_FILE: list_roster(self.people)[0]}
+        self._rows[ROSTER_FILE] = list_roster(self.people)[1]
+        if self._stimuli and self._study.participants:  # without, ratings may come from elsewhere
+            columns |= {"ratings.csv": [*RATING_COLUMNS], MATCHES_FILE: [*MATCH_COLUMNS]}
+            columns |= {answers.ANSWERS_FILE: [*answers.COLUMNS]}
+        for name, own in {} if self._study.is_rehearsal else columns.items():
+            path = self._study.path / name
+            derived = [*list_csv(own, self._rows[name])] if path.is_file() else []
+            if not derived or path.read_bytes() == "".join(derived).encode():
                 continue
             try:
-                with intake.open_text(table.path) as file:
+                with intake.open_text(path) as file:
                     reader = csv.DictReader(file)
                     written = [(reader.line_num, row) for row in reader]
             except (ValueError, csv.Error) as error:
-                findings.append(f"{table.path}: cannot be read ({error}); {ANEW}")
+                findings.append(f"{path}: cannot be read ({error}); {ANEW}")
                 continue
-            findings += self._compare(
-                table, list(csv.DictReader(derived)), written, remarks=remarks
+            # What changes as a session goes on; one that was begun anew is rejected as a whole.
+            lagging = {*own} - FIXED if name == ROSTER_FILE else {"rejected"}
+            readable = [one for one in written if one[1].get("participant") not in self.unread]
+            texts, late = _compare(
+                [*csv.DictReader(derived)], readable, key=KEYS[name], lagging=lagging
             )
+            findings += [f"{path}{text}; {ANEW}" for text in texts]
+            if late:
+                text = f"lacks rows that the journals have ({late}); unless they are newer, it was edited"
+                remarks.append(f"{path}: {text}; {ANEW}")
         return findings, remarks
 
-    def _compare(
-        self,
-        table: Derived,
-        derived: Sequence[Row],
-        written: Sequence[tuple[int, Row]],
-        *,
-        remarks: list[str],
-    ) -> Iterator[str]:
-        """Compare row by row; a trial that was rejected comes again, under the same number."""
-        left: dict[tuple[str, ...], list[Row]] = defaultdict(list)
-        for row in derived:
-            left[table.name(row)].append(row)
-        known, others = set(left), []
-        for line, row in written:
-            own = left[table.name(row)]
-            same = next((one for one in own if not _find_wrong(row, one, table.lagging)), None)
-            if same is not None:
-                own.remove(same)
-            elif row.get("participant") not in self.unread:
-                others.append((line, row))
-        for line, row in others:
-            if own := left[table.name(row)]:
-                text = _find_wrong(row, own.pop(0), table.lagging)
-            else:
-                text = self._judge_stranger(table.name(row), is_known=table.name(row) in known)
-            yield f"{table.path}, line {line}: {text}; {ANEW}"
-        missing, there = [*chain.from_iterable(left.values())], {table.name(r) for _, r in written}
-        amid = _find_amid(missing, [row for row in derived if table.name(row) in there])
-        yield from (f"{table.path}: lacks {table.describe(one)}; {ANEW}" for one in amid)
-        if late := len(missing) - len(amid):
-            count = "a row" if late == 1 else f"{late} rows"
-            text = f"lacks {count} that the journals have; unless they are newer, it was edited"
-            remarks.append(f"{table.path}: {text}; {ANEW}")
 
-    def _judge_stranger(self, name: tuple[str, ...], *, is_known: bool) -> str:
-        who, folder = name[0], self._study.sessions / name[0]
-        if is_known:
-            return f"{' '.join(filter(None, name))} occurs once more often than in the journals"
-        if (folder / TOMBSTONE_FILE).is_file():
-            return f"holds data of {who}, who withdrew"
-        if who and folder.is_dir():
-            return f"a row of {who} that is in no journal"
-        return f"a row of {who or 'nobody'}, of whom there is no journal; restore sessions/ from a copy, or"
+def _compare(
+    derived: Sequence[Row],
+    written: Sequence[tuple[int, Row]],
+    *,
+    key: Sequence[str],
+    lagging: set[str],
+) -> tuple[list[str], int]:
+    """Compare row by row; returns what is wrong, and how many rows are missing at the end.
+
+    A trial that was rejected comes again, under the same number.
+    """
+
+    def name(row: Row) -> tuple[str, ...]:
+        return tuple(row.get(one) or "" for one in key)
+
+    left: dict[tuple[str, ...], list[Row]] = defaultdict(list)
+    for row in derived:
+        left[name(row)].append(row)
+    others, wrong = [], []
+    for line, row in written:
+        alike = (one for one in left[name(row)] if not _find_wrong(row, one, lagging))
+        if (same := next(alike, None)) is not None:
+            left[name(row)].remove(same)
+        else:
+            others.append((line, row))
+    for line, row in others:
+        text = f"holds a row of {row.get('participant') or 'nobody'} that the journals do not have"
+        if own := left[name(row)]:
+            text = _find_wrong(row, own.pop(0), lagging)
+        wrong.append(f", line {line}: {text}")
+    missing, there = [*chain.from_iterable(left.values())], {name(row) for _, row in written}
+    amid = _find_amid(missing, [row for row in derived if name(row) in there])
+    for row in amid:
+        label = ", ".join(f"{one} {row[one]}" for one in key if row[one])
+        wrong.append(f": lacks the row of {label}, which the journals have")
+    return wrong, len(missing) - len(amid)
 
 
-def _find_wrong(row: Row, own: Row, lagging: frozenset[str]) -> str:
+def _find_wrong(row: Row, own: Row, lagging: set[str]) -> str:
     """Find the first cell that the journals contradict."""
     got, last = row.get("last_utc") or "", own.get("last_utc", "")
     if got > last:
@@ -174,28 +148,10 @@ def _find_amid(missing: Sequence[Row], present: Sequence[Row]) -> list[Row]:
 
     def place(row: Row) -> tuple[tuple[str, str], float]:
         # Trials that were spoiled come again later, so their numbers do not say when.
-        session = row["participant"], row.get("session", "")
-        try:
-            return session, float(row.get("onset_s") or math.inf)
-        except ValueError:
-            return session, math.inf
+        return (row["participant"], row.get("session", "")), float(row.get("onset_s") or math.inf)
 
     last: dict[tuple[str, str], float] = defaultdict(lambda: -math.inf)
     for session, onset in map(place, present):
         if math.isfinite(onset):
             last[session] = max(last[session], onset)
     return [row for row in missing if place(row)[1] < last[place(row)[0]]]
-
-
-def audit_inputs(study: StudyFolder) -> Iterator[str]:
-    """Find which files that the report was made of are other ones now."""
-    path = study.report / "results.json"
-    try:
-        inputs = json.loads(intake.read_bytes(path))["inputs"]
-        made = {inputs[role]: inputs[f"{role}_sha256"] for role in ("ratings", "manifest")}
-    except (OSError, ValueError, LookupError, TypeError, RecursionError):
-        return
-    for own in (study.ratings, study.manifest):
-        if own.is_file() and made.get(own.name, "") not in {"", digest_file(own)}:
-            text = f"was computed from another {own.name} than the one here"
-            yield f"{path}: {text}; compute it anew: feel321 analyze"

@@ -187,8 +187,8 @@ def freeze(study: File = Path(), /, *, show: Show = False, as_json: Json = False
     """Freeze hypotheses, design and analysis before the first rating is seen.
 
     Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
-    confirmatory or exploratory, and names every setting that was changed. It may be written again until a person has
-    rated. No rating is shown.
+    confirmatory or exploratory, and names every setting that was changed. It may be written again until a person's
+    session has begun. No rating is shown.
 
     Example: feel321 freeze my-study
              feel321 freeze my-study --show
@@ -206,7 +206,7 @@ def freeze(study: File = Path(), /, *, show: Show = False, as_json: Json = False
     faults = freezing.find_faults(folder)
     for line in () if as_json else faults:
         shared.warn(line)
-    lines = [f"{folder.path}: nothing is frozen; before the first rating: feel321 freeze"]
+    lines = [f"{folder.path}: nothing is frozen; before the first session: feel321 freeze"]
     if frozen is not None:
         lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
     own = asdict(frozen) if frozen else None

@@ -52,12 +52,12 @@ def write_answers(study: StudyFolder) -> list[Row]:
 
 def list_answers(dossier: Dossier) -> list[Row]:
     """List the answers of one participant."""
-    plan, folder = dossier.plan, dossier.folder
-    personal = read_personal(folder)
+    plan, personal = dossier.plan, read_personal(dossier.folder)
     rows: list[Row] = []
-    for number, chain in enumerate(dossier.chains, start=1):
-        rejected = "true" if chain.records.has(SessionSuperseded) else "false"
-        with read_as_written(folder):
+    flags = {True: "true", False: "false"}
+    for session, chain in enumerate(dossier.chains, start=1):
+        is_rejected = chain.records.has(SessionSuperseded)
+        with read_as_written(dossier.folder):
             answers = list(chain.records.find(QuestionAnswered))
         for one in answers:
             question = find_question(plan.questions, f"{PREFIX}{one.question}")
@@ -66,12 +66,11 @@ def list_answers(dossier: Dossier) -> list[Row]:
                 value = personal.get(one.sha256)
                 storage = "apart" if one.sha256 in personal else "removed"
             rows.append({
-                "participant": plan.participant, "session": number, "question": one.question,
+                "participant": plan.participant, "session": session, "question": one.question,
                 "kind": question.kind if question else "", "when": question.when if question else "",
-                "occasion": one.occasion,
-                "answer": "" if value is None else value if isinstance(value, str) else f"{value:.12g}",
-                "personal": "true" if one.personal else "false", "response_time_s": one.stood_s,
-                "rejected": rejected, "simulated": "true" if plan.simulated else "false", "storage": storage,
+                "occasion": one.occasion, "answer": f"{value:.12g}" if isinstance(value, float | int) else value or "",
+                "personal": flags[one.personal], "response_time_s": one.stood_s, "rejected": flags[is_rejected],
+                "simulated": flags[plan.simulated], "storage": storage,
             })  # fmt: skip
     return rows
 

@@ -9,9 +9,9 @@ finishes it. Links go, and what they lead to is named and left. What verbs wrote
 import csv
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -27,8 +27,8 @@ from feel321.files import (
     write_text,
 )
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import people as progress
-from feel321.study.checkpoints import declaring, is_begun, note_checkpoint
+from feel321.study import people
+from feel321.study.checkpoints import declaring, find_newest, note_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import RELEASED, Holder, read_holder
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
@@ -49,6 +49,7 @@ OUTPUTS_FILE = "outputs.jsonl"
 RESULTS = ("report", "tradeoff", "power")
 """Folders of results in a study that ratings may be in, unless another name was given."""
 
+TABLES = ("ratings.csv", people.ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)
 
 Say = Callable[[str], None]
 
@@ -66,79 +67,27 @@ def withdraw_participant(
     if removed and not (study.sessions / participant).exists():
         return removed
     folder = require_folder(study, participant)
-    found = progress.read_tombstone(folder)
-    is_over = found is not None and found.state == progress.REMOVED
-    if found and is_over and not any((progress.find_leftovers(folder), *find_data_left(study))):
-        if is_begun(study, "withdraw", participant):  # killed before its last checkpoint
+    found = people.read_tombstone(folder)
+    is_over = found is not None and found.state == people.REMOVED
+    if found and is_over and not any((people.find_leftovers(folder), *find_data_left(study))):
+        newest = find_newest(study, "withdraw", participant)
+        if newest and newest.begins:  # killed before its last checkpoint
             if problem := note_checkpoint(study, "withdraw", who=participant):
                 warn(problem)
         elif not removed:
-            raise ValueError(
-                f"participant {participant}: withdrew at {found.utc}, all data are gone"
-            )
+            gone = f"withdrew at {found.utc}, all data are gone"
+            raise ValueError(f"participant {participant}: {gone}")
         return removed
-    if folder.is_symlink():  # what it leads to is left, but looked at
-        found = found or _make_tombstone(folder, reason=reason, now=now)
-        _drop_link(folder, warn)
+    # Or the tombstone of a withdrawal that was interrupted; what a link leads to is left, but looked at.
+    stone = found or _make_tombstone(folder, reason=reason, now=now)
+    _remove_link(folder, warn)
     with hold_folder(folder), declaring(study, "withdraw", who=participant, warn=warn):
-        # Or the tombstone of a withdrawal that was interrupted.
-        tombstone = found or _make_tombstone(folder, reason=reason, now=now)
-        progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVING))
+        people.write_tombstone(folder, replace(stone, state=people.REMOVING))
         removed += _remove_data(folder, warn)
-        _clear_derived(study, tombstone, warn)
-        progress.write_tombstone(folder, replace(tombstone, state=progress.REMOVED))
-    (folder / progress.LOCK_FILE).unlink(missing_ok=True)
+        _clear_derived(study, stone, warn)
+        people.write_tombstone(folder, replace(stone, state=people.REMOVED))
+    (folder / people.LOCK_FILE).unlink(missing_ok=True)
     return removed
-
-
-def _clear_derived(study: StudyFolder, tombstone: progress.Tombstone, say: Say) -> None:
-    """Remove the participant from all that was derived, whatever a kill left of it included; say what is left."""
-    sweep(study.path)
-    sweep_temporary()
-    for path in sorted(study.path.rglob("*")):
-        is_unfinished = UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name)
-        if is_unfinished and not _drop_link(path, say):
-            say(f"{path}: is still being written; when it is finished, run feel321 audit")
-    wide = study.path / WIDE
-    _drop_link(wide, say)
-    _remove_file(wide / f"{tombstone.participant}.csv", say)
-    tables: dict[Path, Callable[[], object]] = {
-        study.ratings: lambda: write_ratings(study, read_stimuli(study.stimuli)),
-        study.path / progress.ROSTER_FILE: lambda: progress.write_roster(study),
-        study.path / ANSWERS_FILE: lambda: write_answers(study),
-        study.path / MATCHES_FILE: lambda: write_matches(study, read_stimuli(study.stimuli)),
-    }
-    for path, write in tables.items():
-        is_there = path.exists()
-        _drop_link(path, say)
-        if not is_there:
-            continue
-        try:
-            write()
-        except (OSError, ValueError) as error:
-            # A derived table can be made again; the data of someone who withdrew may not stay.
-            path.unlink(missing_ok=True)
-            say(f"{path}: was removed, because it could not be rewritten ({error})")
-    if tombstone.journals:
-        _clear_results(study, say)
-        for output in _list_outputs(study, before=tombstone.utc):
-            is_there = Path(output.path).exists()
-            say(output.describe() if is_there else f"{output.describe()}; nothing is there now")
-
-
-def _clear_results(study: StudyFolder, say: Say) -> None:
-    """Remove the folders of results that were made of ratings."""
-    from feel321.analysis.report.folder import remove_results
-
-    for folder in _list_results(study):
-        if _drop_link(folder, say):
-            continue
-        remove_results(folder)
-        verb = {"report": "analyze"}.get(folder.name, folder.name)
-        again = f"because they held the participant's data; make them again: feel321 {verb}"
-        say(f"{folder}: results were removed {again}")
-        if folder.exists():
-            say(f"{folder}: holds other files; remove those with the participant's data")
 
 
 def _withdraw_rehearsals(study: StudyFolder, participant: str, *, say: Say) -> list[str]:
@@ -148,12 +97,69 @@ def _withdraw_rehearsals(study: StudyFolder, participant: str, *, say: Say) -> l
     is_code = not study.is_rehearsal and PARTICIPANT_ID.fullmatch(participant)
     if not is_code or not (folder.is_symlink() or folder.is_dir()):
         return []
-    _drop_link(folder, say)
+    _remove_link(folder, say)
     with hold_folder(folder):
         removed = _remove_data(folder, say)
-    (folder / progress.LOCK_FILE).unlink(missing_ok=True)
+    (folder / people.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return [f"{rehearsals.name}/{participant}/{name}" for name in removed]
+
+
+def _make_tombstone(folder: Path, *, reason: str, now: Clock) -> people.Tombstone:
+    known = Holder(folder.name, 0, simulated=False)
+    with suppress(ValueError):  # a damaged plan keeps nobody from withdrawing
+        known = read_holder(folder) or known
+    anchors = tuple(read_anchor(path) for path in list_journals(folder))
+    utc = now().isoformat(timespec="seconds")
+    own = (folder.name, known.number, known.simulated, utc, reason, anchors)
+    return people.Tombstone(*own, state=people.REMOVING)
+
+
+def _clear_derived(study: StudyFolder, stone: people.Tombstone, say: Say) -> None:
+    """Remove the participant from all that was derived, whatever a kill left of it included; say what is left."""
+    sweep(study.path)
+    sweep_temporary()
+    for path in sorted(study.path.rglob("*")):
+        is_unfinished = UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name)
+        if is_unfinished and not _remove_link(path, say):
+            say(f"{path}: is still being written; when it is finished, run feel321 audit")
+    _remove_link(study.path / WIDE, say)
+    _remove_file(study.path / WIDE / f"{stone.participant}.csv", say)
+    writers: tuple[Callable[[], object], ...] = (
+        lambda: write_ratings(study, read_stimuli(study.stimuli)),
+        lambda: people.write_roster(study),
+        lambda: write_answers(study),
+        lambda: write_matches(study, read_stimuli(study.stimuli)),
+    )
+    for path, write in zip([study.path / name for name in TABLES], writers, strict=True):
+        is_there = path.exists()
+        _remove_link(path, say)
+        try:
+            if is_there:
+                write()
+        except (OSError, ValueError) as error:
+            # A derived table can be made again; the data of someone who withdrew may not stay.
+            path.unlink(missing_ok=True)
+            say(f"{path}: was removed, because it could not be rewritten ({error})")
+    if stone.journals:
+        _clear_results(study, say)
+    for path, text in _list_outputs(study, before=stone.utc if stone.journals else ""):
+        say(text if path.exists() else f"{text}; nothing is there now")
+
+
+def _clear_results(study: StudyFolder, say: Say) -> None:
+    """Remove the folders of results that were made of ratings."""
+    from feel321.analysis.report.folder import remove_results
+
+    for folder in _list_results(study):
+        if _remove_link(folder, say):
+            continue
+        remove_results(folder)
+        verb = {"report": "analyze"}.get(folder.name, folder.name)
+        held = "results were removed because they held the participant's data"
+        say(f"{folder}: {held}; make them again: feel321 {verb}")
+        if folder.exists():
+            say(f"{folder}: holds other files; remove those with the participant's data")
 
 
 def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> int:
@@ -162,27 +168,25 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
     """
     folder = require_folder(study, participant)
-
-    def refuse(why: str) -> ValueError:
-        return ValueError(f"participant {participant}: {why}")
-
-    if progress.read_tombstone(folder) is not None:
-        raise refuse("withdrew, there is nothing to release")
     with hold_folder(folder):
-        if (holder := read_holder(folder)) is None:
-            raise refuse("has no number, there is nothing to release")
-        if holder.state == RELEASED:
-            raise refuse(f"was released before; number {holder.number} is free")
-        journals = list_journals(folder)
+        holder, journals = read_holder(folder), list_journals(folder)
         journal = require_journal(journals[-1], now=now) if journals else None
+        refused = ""
+        if people.read_tombstone(folder) is not None:
+            refused = "withdrew, there is nothing to release"
+        elif holder is None:
+            refused = "has no number, there is nothing to release"
+        elif holder.state == RELEASED:
+            refused = f"was released before; number {holder.number} is free"
+        elif journal and journal.records.has(SessionFinished):
+            refused = "has finished, so the slot stays taken; to remove the data: feel321 withdraw"
+        if refused or holder is None:
+            raise ValueError(f"participant {participant}: {refused}")
         if journal and (len(journals) > 1 or journal.records.find_header()):
-            if journal.records.has(SessionFinished):
-                remedy = "to remove the data: feel321 withdraw"
-                raise refuse(f"has finished, so the slot stays taken; {remedy}")
             journal.write(SessionReleased())
             return holder.number
         _remove_data(folder, lambda _: None)
-    (folder / progress.LOCK_FILE).unlink(missing_ok=True)
+    (folder / people.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return holder.number
 
@@ -190,20 +194,17 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
 def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) -> str:
     """Write a note into the newest journal of a participant; returns what the experimenter should know besides.
 
-    A note is a record like any other: chained, part of the seal. It moves no trial, makes no old session fresh, and is
-    in no table of ratings.
+    It is chained like any other record, moves no trial, makes no old session fresh, and is in no table of ratings.
     """
-    note = NoteTaken(text)
-    folder = require_folder(study, participant)
-    if progress.read_tombstone(folder) is not None:
+    note, folder = NoteTaken(text), require_folder(study, participant)
+    if people.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, nothing is recorded any longer")
-    begin = f"participant {participant}: no session has begun, so there is no journal; begin one, then add the note"
-    if not list_journals(folder):
-        raise ValueError(begin)
     with hold_folder(folder):
-        journal = require_journal(list_journals(folder)[-1], now=now)
-        if journal.records.find_header() is None:
-            raise ValueError(begin)
+        journals = list_journals(folder)
+        journal = require_journal(journals[-1], now=now) if journals else None
+        if journal is None or journal.records.find_header() is None:
+            text = "no session has begun, so there is no journal; begin one, then add the note"
+            raise ValueError(f"participant {participant}: {text}")
         journal.write(note)
     return journal.notice
 
@@ -222,30 +223,13 @@ def hold_folder(folder: Path) -> Iterator[None]:
     """Keep sessions from writing to a participant's folder."""
     make_folder(folder, private=True)
     busy = "a session is running here; let it finish or stop it first"
-    with hold_lock(folder / progress.LOCK_FILE, busy=busy):
+    with hold_lock(folder / people.LOCK_FILE, busy=busy):
         yield
-
-
-def _make_tombstone(folder: Path, *, reason: str, now: Clock) -> progress.Tombstone:
-    try:
-        holder = read_holder(folder)
-    except ValueError:  # a damaged plan keeps nobody from withdrawing
-        holder = None
-    known = holder or Holder(folder.name, 0, simulated=False)
-    return progress.Tombstone(
-        participant=folder.name,
-        number=known.number,
-        simulated=known.simulated,
-        utc=now().isoformat(timespec="seconds"),
-        reason=reason,
-        journals=tuple(read_anchor(path) for path in list_journals(folder)),
-        state=progress.REMOVING,
-    )
 
 
 def _remove_data(folder: Path, say: Say) -> list[str]:
     """Remove everything in a folder but its tombstone and the lock that is held; returns the names."""
-    kept = {folder / TOMBSTONE_FILE, folder / progress.LOCK_FILE}
+    kept = {folder / TOMBSTONE_FILE, folder / people.LOCK_FILE}
     removed = sorted({*folder.rglob("*")} - kept, reverse=True)
     for path in removed:
         if path.is_dir() and not path.is_symlink():
@@ -258,11 +242,11 @@ def _remove_data(folder: Path, say: Say) -> list[str]:
 
 def _remove_file(path: Path, say: Say) -> None:
     """Remove a file, or a link to one."""
-    if not _drop_link(path, say):
+    if not _remove_link(path, say):
         path.unlink(missing_ok=True)
 
 
-def _drop_link(path: Path, say: Say) -> bool:
+def _remove_link(path: Path, say: Say) -> bool:
     """Remove a link, and name what it leads to: that is left as it is; whether it was one."""
     if not path.is_symlink():
         return False
@@ -291,14 +275,15 @@ def find_data_left(study: StudyFolder) -> Iterator[str]:
 
     stones = _read_tombstones(study)
     for name in stones:
-        finish = f"finish: feel321 withdraw {study.path} --participant {name}"
+        finish = f"who withdrew; finish: feel321 withdraw {study.path} --participant {name}"
         if (rehearsed := study.path / "rehearsals" / name).exists():
-            yield f"{rehearsed}: is of a rehearsal of {name}, who withdrew; {finish}"
+            yield f"{rehearsed}: is of a rehearsal of {name}, {finish}"
         if (own := study.path / WIDE / f"{name}.csv").exists():
-            yield f"{own}: is of {name}, who withdrew; {finish}"
-        for table in (study.ratings.name, progress.ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE):
-            if name in _list_named(study.path / table):
-                yield f"{study.path / table}: holds rows of {name}, who withdrew; {finish}"
+            yield f"{own}: is of {name}, {finish}"
+        for table in (study.path / one for one in TABLES):
+            text = table.read_text(encoding="utf-8", errors="replace") if table.is_file() else ""
+            if any(row.get("participant") == name for row in csv.DictReader(text.splitlines())):
+                yield f"{table}: holds rows of {name}, {finish}"
     if newest := _find_newest(stones):
         last = datetime.fromisoformat(newest).timestamp()
         results = [folder / name for folder in _list_results(study) for name in list_own(folder)]
@@ -308,96 +293,72 @@ def find_data_left(study: StudyFolder) -> Iterator[str]:
 
 def list_stale(study: StudyFolder) -> Iterator[str]:
     """Name what verbs wrote outside of the study before somebody withdrew, as far as it is there."""
-    if newest := _find_newest(_read_tombstones(study)):
-        for output in _list_outputs(study, before=newest):
-            if Path(output.path).exists():
-                yield output.describe()
+    outputs = _list_outputs(study, before=_find_newest(_read_tombstones(study)))
+    yield from (text for path, text in outputs if path.exists())
 
 
-def _read_tombstones(study: StudyFolder) -> dict[str, progress.Tombstone]:
+def _read_tombstones(study: StudyFolder) -> dict[str, people.Tombstone]:
     found = {}
     for folder in study.participants:
         with suppress(ValueError):  # reported by whoever looks at the folder
-            if stone := progress.read_tombstone(folder):
+            if stone := people.read_tombstone(folder):
                 found[folder.name] = stone
     return found
 
 
-def _find_newest(stones: Mapping[str, progress.Tombstone]) -> str:
+def _find_newest(stones: dict[str, people.Tombstone]) -> str:
     """Find when the last of those withdrew who had recorded something; empty if nobody."""
     times = [one.utc for one in stones.values() if one.journals]
     return max(times, key=datetime.fromisoformat, default="")
 
 
-def _list_named(table: Path) -> set[str | None]:
-    """List whom a table has rows of."""
-    if not table.is_file():
-        return set()
-    with table.open(encoding="utf-8", newline="", errors="replace") as file:
-        return {row.get("participant") for row in csv.DictReader(file)}
-
-
 # What verbs write outside of the study.
-
-
-@dataclass(frozen=True, slots=True)
-class WrittenOutput:
-    """What a verb wrote outside of the study: where, and when it began."""
-
-    verb: str
-    path: str
-    utc: str
-
-    def describe(self) -> str:
-        """Say what there is to do when somebody withdrew since."""
-        return (
-            f"{self.path}: {self.verb} wrote there before a participant withdrew; write it anew, or remove the "
-            f"participant's data there and its line in {OUTPUTS_FILE}"
-        )
 
 
 @contextmanager
 def recording_output(study: StudyFolder, verb: str, path: Path, *, now: Clock) -> Iterator[None]:
     """Record where a verb writes, before it does; the study's own folders of results need no record."""
     path = path.resolve()
-    if study.settings.is_file() and not _is_own(study, path):
-        others = [one for one in _read_outputs(study) if (one.verb, one.path) != (verb, str(path))]
-        new = WrittenOutput(verb, str(path), now().isoformat(timespec="seconds"))
-        lines = [json.dumps(asdict(one), ensure_ascii=False) for one in (*others, new)]
-        text = "".join(f"{line}\n" for line in lines)
-        write_text(study.path / OUTPUTS_FILE, text, private=True)
-        try:
-            with closing_results(study, path):
-                yield
-        except BaseException:
-            if not path.exists():  # nothing was written
-                text = "".join(f"{line}\n" for line in lines[:-1])
-                write_text(study.path / OUTPUTS_FILE, text, private=True)
-            raise
+    if not study.settings.is_file() or _is_own(study, path):
+        with closing_results(study, path):
+            yield
         return
-    with closing_results(study, path):
-        yield
-
-
-def _list_outputs(study: StudyFolder, *, before: str) -> list[WrittenOutput]:
-    """List what was written until a time."""
-    last = datetime.fromisoformat(before)
-    return [one for one in _read_outputs(study) if datetime.fromisoformat(one.utc) <= last]
-
-
-def _read_outputs(study: StudyFolder) -> list[WrittenOutput]:
-    path = study.path / OUTPUTS_FILE
-    if not path.is_file():
-        return []
+    new = {"verb": verb, "path": str(path), "utc": now().isoformat(timespec="seconds")}
+    before = _read_outputs(study)
+    others = [one for one in before if (one["verb"], one["path"]) != (verb, str(path))]
+    _write_outputs(study, [*others, new])
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        found = [WrittenOutput(**json.loads(line)) for line in lines]
-        _ = [datetime.fromisoformat(one.utc) for one in found]
-    except (TypeError, ValueError, RecursionError) as error:
-        raise ValueError(
-            f"{path}: not as feel321 wrote it ({error}); restore it from a copy"
-        ) from None
-    return found
+        yield
+    except BaseException:
+        if not path.exists():  # nothing was written
+            _write_outputs(study, others)
+        raise
+
+
+def _write_outputs(study: StudyFolder, rows: list[dict[str, str]]) -> None:
+    text = "".join(f"{json.dumps(one, ensure_ascii=False)}\n" for one in rows)
+    write_text(study.path / OUTPUTS_FILE, text, private=True)
+
+
+def _read_outputs(study: StudyFolder) -> list[dict[str, str]]:
+    path = study.path / OUTPUTS_FILE
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        rows = [json.loads(line) for line in lines]
+        _ = [(one["verb"], one["path"], datetime.fromisoformat(one["utc"])) for one in rows]
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        text = f"not as feel321 wrote it ({error}); restore it from a copy"
+        raise ValueError(f"{path}: {text}") from None
+    return rows
+
+
+def _list_outputs(study: StudyFolder, *, before: str) -> Iterator[tuple[Path, str]]:
+    """List what was written until a time, each with what there is to do when somebody withdrew since."""
+    for one in _read_outputs(study):
+        if before and datetime.fromisoformat(one["utc"]) <= datetime.fromisoformat(before):
+            wrote = f"{one['path']}: {one['verb']} wrote there before a participant withdrew"
+            remedy = f"remove the participant's data there and its line in {OUTPUTS_FILE}"
+            yield Path(one["path"]), f"{wrote}; write it anew, or {remedy}"
 
 
 def _is_own(study: StudyFolder, path: Path) -> bool:
@@ -417,8 +378,7 @@ def closing_results(study: StudyFolder, folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        for path in folder.rglob("*"):
-            if not path.is_symlink():
-                path.chmod(mode if path.is_dir() else mode & 0o640)
+        for path in (one for one in folder.rglob("*") if not one.is_symlink()):
+            path.chmod(mode if path.is_dir() else mode & 0o640)
         if is_new and not any(folder.iterdir()):
             folder.rmdir()

@@ -1,9 +1,6 @@
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -19,26 +16,6 @@ if TYPE_CHECKING:
     from feel321.study.session.plan import Design, Plan
 
     Edit = Callable[[list[Record]], list[Record]]
-
-
-def load(name: str) -> Any:
-    """Load a helper that stands beside this file."""
-    spec = spec_from_file_location(f"auditing_{name}", Path(__file__).with_name(f"{name}.py"))
-    assert spec is not None
-    assert spec.loader is not None
-    sys.modules[spec.name] = module = module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="session")
-def cheats() -> Any:
-    return load("cheats")
-
-
-@pytest.fixture(scope="session")
-def studies() -> Any:
-    return load("finished")
 
 
 @pytest.fixture(scope="session")

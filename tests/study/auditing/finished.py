@@ -22,6 +22,7 @@ from feel321.study.ratings import write_ratings
 from feel321.study.sessions import read_room
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study
+from tests.study.conftest import SMALLEST_STUDY, make_settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -31,20 +32,6 @@ SETTINGS = """
 [study]
 name = "finished"
 seed = 321
-[[recordings]]
-scene = "bumps"
-duration_s = 0.3
-[stimuli]
-reducers = ["sax321", "mag321", "dft321"]
-reference = "none"
-anchors = false
-[session]
-protocols = ["realism"]
-repeats = 2
-language = "texts.toml"
-[session.rehearsal]
-training = 0
-practice = 0
 [session.threshold]
 frequencies_hz = [160.0]
 trials = 10
@@ -56,6 +43,12 @@ draws = 100
 [metrics.strict]
 use = "methods/strict.py:strict"
 """
+SETTINGS += make_settings(
+    "bumps",
+    duration_s=0.3,
+    reducers=("sax321", "mag321", "dft321"),
+    session='repeats = 2\nlanguage = "texts.toml"\n',
+)
 
 RULE = '''"""A metric of the lab's own."""
 
@@ -64,21 +57,6 @@ def strict(acceleration, reduced, rate_hz):
     """Measure nothing."""
     return 0.5
 '''
-
-REAL = """
-[[recordings]]
-scene = "bumps"
-duration_s = 0.1
-[stimuli]
-reducers = ["sax321", "mag321"]
-reference = "none"
-anchors = false
-[session]
-protocols = ["realism"]
-[session.rehearsal]
-training = 0
-practice = 0
-"""
 
 RIG = """
 [device]
@@ -126,7 +104,7 @@ def make_simulated(path: Path) -> StudyFolder:
 def make_real(path: Path, scripted: Any) -> StudyFolder:
     """One participant on a simulated rig with sensor and certificate; scripted: who sits there."""
     study = create_study(path)
-    study.settings.write_text(REAL, encoding="utf-8")
+    study.settings.write_text(SMALLEST_STUDY, encoding="utf-8")
     study.rig.write_text(RIG, encoding="utf-8")
     build_study(study)
     rig = read_rig(study.rig)

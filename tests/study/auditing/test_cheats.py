@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import random
 import shutil
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,6 +12,8 @@ from feel321.study.auditing.study import examine
 from feel321.study.checkpoints import take_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import utc_now
+from tests.study.auditing.cheats import CHEATS, falsify
+from tests.study.auditing.finished import make_real, make_simulated
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -25,14 +27,12 @@ REMARKED = {
 
 
 @pytest.fixture(scope="session")
-def put(
-    tmp_path_factory: pytest.TempPathFactory, studies: Any, scripted: type
-) -> Callable[[bool], StudyFolder]:
+def put(tmp_path_factory: pytest.TempPathFactory, scripted: type) -> Callable[[bool], StudyFolder]:
     """Put a finished study, simulated or real, into its place, with a remote beside it."""
     home = tmp_path_factory.mktemp("bench")
     for is_real in (False, True):
         place = home / str(is_real) / "place"
-        study = studies.make_real(place, scripted) if is_real else studies.make_simulated(place)
+        study = make_real(place, scripted) if is_real else make_simulated(place)
         take_checkpoint(study, "seal", remote=str(place.parent / "remote.git"), now=utc_now)
         assert examine(study).findings == ()
         shutil.copytree(place.parent, home / f"kept {is_real}")
@@ -46,16 +46,14 @@ def put(
     return take
 
 
-def look(
-    cheats: Any, names: Iterable[str], put: Callable[[bool], StudyFolder]
-) -> dict[str, tuple[int, int]]:
+def look(names: Iterable[str], put: Callable[[bool], StudyFolder]) -> dict[str, tuple[int, int]]:
     """Falsify the study in each way; how many findings and new remarks there are, by the names of the ways."""
     seen = {}
     for name in names:
-        cheat = cheats.CHEATS[name]
+        cheat = CHEATS[name]
         study = put(cheat.is_real)
         usual = len(examine(study).remarks)
-        cheats.falsify(study, cheat)
+        falsify(study, cheat)
         # A reviewer names the remote: a cheat need not leave it in the folder.
         found = examine(study, remotes=[str(study.path.parent / "remote.git")])
         seen[name] = len(found.findings), len(found.remarks) - usual
@@ -68,11 +66,11 @@ def check(seen: dict[str, tuple[int, int]]) -> None:
     assert all(seen[name][1] > 0 for name in unseen)
 
 
-def test_a_remote_shows_cheats(cheats: Any, put: Callable[[bool], StudyFolder]) -> None:
-    check(look(cheats, random.SystemRandom().sample(list(cheats.CHEATS), 10), put))
+def test_a_remote_shows_cheats(put: Callable[[bool], StudyFolder]) -> None:
+    check(look(random.SystemRandom().sample(list(CHEATS), 10), put))
 
 
 @pytest.mark.soak
-def test_a_remote_shows_every_cheat(cheats: Any, put: Callable[[bool], StudyFolder]) -> None:
-    assert len(cheats.CHEATS) > 45
-    check(look(cheats, cheats.CHEATS, put))
+def test_a_remote_shows_every_cheat(put: Callable[[bool], StudyFolder]) -> None:
+    assert len(CHEATS) > 45
+    check(look(CHEATS, put))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
+from tests.study.auditing.cheats import chain
+from tests.study.auditing.finished import make_simulated
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -28,8 +31,8 @@ FORGED = ("participant", "session", "presenter", "calibration", "seed", "clock",
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory, studies: Any) -> StudyFolder:
-    return studies.make_simulated(tmp_path_factory.mktemp("fuzz") / "study")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
+    return make_simulated(tmp_path_factory.mktemp("fuzz") / "study")
 
 
 @pytest.fixture
@@ -60,14 +63,14 @@ def test_a_bad_file_is_named_and_stops_nothing(
                 assert path.name in said, (content[:40], said)
 
 
-def test_a_forged_header_is_a_finding_and_hides_no_other(copy: StudyFolder, cheats: Any) -> None:
+def test_a_forged_header_is_a_finding_and_hides_no_other(copy: StudyFolder) -> None:
     first, second = copy.journals[:2]
     header, *others = read_journal(first).records
     second.write_bytes(second.read_bytes().replace(b"test", b"tent"))
     for name in FORGED:
         for value in VALUES:
             data = json.loads(json.dumps(header.data)) | {name: value}
-            cheats.chain(first, [cheats.replace(header, data=data), *others])
+            chain(first, [replace(header, data=data), *others])
             found = audit_study(copy)
             assert any(line.startswith(f"{second}, line ") for line in found)
             assert sum(line.startswith(str(first)) for line in found) <= 3, (name, value, found)

@@ -19,27 +19,13 @@ from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.numbers import read_holders
 from feel321.study.session.journal import read_journal
+from tests.study.conftest import make_settings
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-SETTINGS = """
-[[recordings]]
-scene = "bumps"
-duration_s = 0.1
-[stimuli]
-reducers = ["sax321", "mag321", "dft321"]
-reference = "none"
-anchors = false
-[session]
-protocols = ["realism"]
-repeats = 2
-[session.rehearsal]
-training = 0
-practice = 0
-[analysis]
-draws = 100
-"""
+SETTINGS = make_settings("bumps", reducers=("sax321", "mag321", "dft321"), session="repeats = 2\n")
+SETTINGS += "[analysis]\ndraws = 100\n"
 
 STATION = str(Path(__file__).parents[1] / "watch" / "station.py")
 """A session with the engine, in real time: what `run` does behind its screen."""

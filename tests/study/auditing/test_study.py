@@ -10,22 +10,16 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.study.auditing.journals import audit_journals
-from feel321.study.auditing.study import audit_study, examine
+from feel321.study.auditing.study import audit_journals, audit_study, examine
 from feel321.study.folder import StudyFolder
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session import events
-from feel321.study.session.journal import (
-    START,
-    create_journal,
-    digest,
-    read_journal,
-    utc_now,
-    write_line,
-)
+from feel321.study.session.journal import create_journal, read_journal, utc_now
 from feel321.study.session.plan import POLICIES, Stale, require_plan
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study
+from tests.study.auditing.cheats import chain, reseal
+from tests.study.conftest import make_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,18 +30,7 @@ if TYPE_CHECKING:
 
     Present = Callable[..., list[Record]]
 
-STUDY = """
-[[recordings]]
-scene = "bumps"
-duration_s = 0.1
-[stimuli]
-reducers = ["sax321", "dft321"]
-[session]
-protocols = ["similarity"]
-[session.rehearsal]
-training = 0
-practice = 0
-"""
+STUDY = make_settings("bumps", reducers=("sax321", "dft321"), stimuli="", protocol="similarity")
 
 
 @pytest.fixture(scope="module")
@@ -74,21 +57,6 @@ def find_only(study: StudyFolder) -> str:
     return finding
 
 
-def chain(path: Path, records: list[Record]) -> None:
-    """Write records as a chain that holds, whatever they say."""
-    content, tip = b"", START
-    for sequence, record in enumerate(records):
-        line = write_line(replace(record, sequence=sequence), tip)
-        content, tip = content + line, digest(line.rstrip(b"\n"))
-    path.write_bytes(content)
-
-
-def reseal(path: Path, body: bytes) -> None:
-    """Write what stands in a plan, with the digest that belongs to it."""
-    sealed = b',\n "sha256": "' + digest(body).encode() + b'"\n}\n'
-    path.write_bytes(body.removesuffix(b"\n}") + sealed)
-
-
 def test_a_study_as_it_was_written_gives_no_finding(copy: StudyFolder, tmp_path: Path) -> None:
     told: list[tuple[int, int]] = []
     found = examine(copy, progress=lambda done, total: told.append((done, total)))
@@ -106,9 +74,7 @@ def change_wav(study: StudyFolder) -> None:
 
 
 def forge_seed(study: StudyFolder) -> None:
-    path = study.sessions / "sim001" / "plan.json"
-    body = path.read_bytes().replace(b'"seed": 321', b'"seed": 322').rpartition(b',\n "sha256"')[0]
-    reseal(path, body + b"\n}")
+    reseal(study.sessions / "sim001" / "plan.json", lambda plan: plan.update(seed=322))
 
 
 def change_manifest(study: StudyFolder) -> None:

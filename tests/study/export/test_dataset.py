@@ -15,7 +15,7 @@ import pytest
 
 from feel321.study.analyze import analyze_study
 from feel321.study.export import dataset as dataset_module
-from feel321.study.export.dataset import KEY_FILE, NO_METHODS, band_age, export_bids
+from feel321.study.export.dataset import KEY_FILE, NO_METHODS, export_bids
 from feel321.study.folder import StudyFolder
 from tests.study.export.conftest import PLANTED
 
@@ -82,13 +82,6 @@ def test_who_withdrew_and_who_is_a_program_stays_out(
     assert sorted(everybody["simulated"]) == ["false", "false", "true"]
 
 
-def test_answers_are_exported_unless_they_are_personal_or_typed(dataset: Path) -> None:
-    answers = pd.read_csv(dataset / "phenotype" / "questions.tsv", sep="\t")
-    assert list(answers) == ["participant_id", "tired"]
-    about = json.loads((dataset / "phenotype" / "questions.json").read_text())
-    assert about["tired"]["Levels"] == {"1": "not at all", "2": "point 2", "3": "very tired"}
-
-
 def test_the_same_study_gives_the_same_bytes(dataset: Path, export: Callable[..., Path]) -> None:
     assert read_all(export()) == read_all(dataset)
 
@@ -138,12 +131,6 @@ def test_every_column_has_a_meaning(dataset: Path) -> None:
     assert set(table) <= set(about)
     assert about["rating"]["Units"] == "points"
     assert "How real did this vibration feel?" in about["TaskDescription"]
-
-
-def test_ages_are_bands() -> None:
-    assert [band_age(years) for years in (18, 24.9, 79, 80, 102)] == [
-        "15-19", "20-24", "75-79", "80+", "80+",
-    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("last", ["participants.tsv", "README"])

@@ -27,6 +27,7 @@ from feel321.study.observer.model import (
 from feel321.study.settings.read import read_settings
 from feel321.study.simulation import regress_planted, simulate_study
 from feel321.study.workflow import build_study
+from tests.study.conftest import make_settings
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -140,28 +141,14 @@ def test_slopes_differ_between_recordings_alike_for_everybody(stimuli: StimulusS
     assert own.locate(next(iter(stimuli))) == Touch(model, 1).locate(next(iter(stimuli)))
 
 
-STUDY = """
-[study]
-seed = 5
-[[recordings]]
-scene = "bumps"
-duration_s = 0.2
-[[recordings]]
-scene = "hard_taps"
-duration_s = 0.2
-[stimuli]
-reducers = ["sax321", "mag321", "dft321"]
-anchors = false
-[session]
-protocols = ["realism"]
-[session.rehearsal]
-training = 0
-practice = 0
-[observer]
-intercept = 5.0
-spectral = 20.0
-temporal = 10.0
-"""
+STUDY = make_settings(
+    "bumps",
+    "hard_taps",
+    duration_s=0.2,
+    reducers=("sax321", "mag321", "dft321"),
+    stimuli="anchors = false\n",
+)
+STUDY += "[study]\nseed = 5\n[observer]\nintercept = 5.0\nspectral = 20.0\ntemporal = 10.0\n"
 
 
 def simulate(folder: Path, text: str) -> pd.DataFrame:

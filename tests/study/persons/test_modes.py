@@ -12,6 +12,7 @@ import pytest
 
 from feel321.study.persons.withdrawal import recording_output
 from feel321.study.simulation import simulate_study
+from tests.study.persons.conftest import ASKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows knows no modes")
-
-ASKING = '[[session.questions]]\nuse = "demographics"\n'
 
 
 @pytest.fixture

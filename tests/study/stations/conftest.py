@@ -8,26 +8,11 @@ import pytest
 
 from feel321.study.folder import create_study
 from feel321.study.workflow import build_study
+from tests.study.conftest import make_settings
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
-
-TWO_TRIALS = """
-[[recordings]]
-scene = "bumps"
-duration_s = 0.1
-[stimuli]
-reducers = ["sax321", "mag321"]
-reference = "none"
-anchors = false
-[session]
-protocols = ["realism"]
-repeats = 2
-[session.rehearsal]
-training = 0
-practice = 0
-"""
 
 
 @pytest.fixture(scope="session")
@@ -36,7 +21,8 @@ def built(make_once: Callable[..., Path]) -> Path:
 
     def fill(folder: Path) -> None:
         study = create_study(folder / "study")
-        study.settings.write_text(TWO_TRIALS, encoding="utf-8")
+        settings = make_settings("bumps", session="repeats = 2\n")
+        study.settings.write_text(settings, encoding="utf-8")
         build_study(study)
 
     return make_once("stations", fill) / "study"
