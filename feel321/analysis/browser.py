@@ -18,7 +18,7 @@ import numpy as np
 
 from feel321 import __version__
 from feel321.analysis import page
-from feel321.analysis.words import MINUS, format_name, format_number
+from feel321.analysis.words import MINUS
 from feel321.doors import as_path
 from feel321.files import write_text
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, WEBER_FRACTION
@@ -134,64 +134,32 @@ def _render(built: StimulusSet, stamp: str) -> str:
     highest = max(one.highest_db for one in sketches.values())
     top = max(40, 10 * math.ceil(highest / 10)) if math.isfinite(highest) else 40
     octaves = math.log(CENTRES_HZ[-1] / CENTRES_HZ[0])
+    flags = {row.stimulus_id: find_flags(row) for row in built}
+    groups = []
+    for name in kept:
+        rows = [row for row in shown if row.recording == name]
+        warnings = [text for text in built.warnings if text.startswith(f"{name}: ")]
+        peak = max(row.peak for row in rows)  # waveforms are drawn on one scale
+        groups.append({"name": name, "rows": rows, "peak": peak, "warnings": warnings})
+    unknown = sum(math.isnan(row.sensation_level_db) and row.rms_m_s2 != 0 for row in built)
     return page.render_template(
         "stimuli.html",
         styles=["stimuli.css"],
-        mark=MARK, stamp=stamp, sha256=built.sha256, built=shown, flags=FLAGS,
-        flagged=Counter(flag for row in shown for flag in find_flags(row)),
-        groups=[
-            _describe(
-                [row for row in shown if row.recording == name], sketches,
-                full_scale=full_scale, warnings=built.warnings,
-            )
-            for name in kept
-        ],
-        sentence=_summarise(built, len(kept), len(names)),
-        choices={
-            "recording": kept,
-            "reducer": list(dict.fromkeys(row.reducer for row in built)),
-            "level": list(dict.fromkeys(row.level for row in built)),
+        mark=MARK, stamp=stamp, sha256=built.sha256, built=shown, flags=FLAGS, own=flags, sketches=sketches,
+        flagged=Counter(flag for row in shown for flag in flags[row.stimulus_id]),
+        every=Counter(flag for one in flags.values() for flag in one), hit=sum(map(bool, flags.values())),
+        unknown=unknown, sizes={"shown": len(kept), "recordings": len(names), "stimuli": len(built)}, groups=groups,
+        choices={"recording": kept} | {
+            name: list(dict.fromkeys(getattr(row, name) for row in built)) for name in ("reducer", "level")
         },
-        numbers=NUMBERS,
-        threshold=format_name(threshold), full_scale=f"{full_scale:g}", top=top, bottom=LOWEST_DB,
+        numbers=NUMBERS, threshold=threshold, full_scale=full_scale, top=top, bottom=LOWEST_DB,
         limit=_draw_line(_to_db(_threshold_rms(threshold))),
         ticks={  # shares of width and height from the top left, with their labels
             "x": [(math.log(hz / CENTRES_HZ[0]) / octaves, f"{hz}") for hz in (20, 50, 100, 200, 500)],
-            "y": [((top - db) / (top - LOWEST_DB), f"{db}".replace("-", MINUS)) for db in (0, 40)],
+            "y": [((top - db) / (top - LOWEST_DB), f"{db}") for db in (0, 40)],
         },
         script=(page.TEMPLATES / "stimuli.js").read_text(encoding="utf-8"),
     )  # fmt: skip
-
-
-def _describe(
-    rows: Sequence[Stimulus],
-    sketches: Mapping[str, Sketch],
-    *,
-    full_scale: float,
-    warnings: Sequence[str],
-) -> dict[str, Any]:
-    """List a recording with its rows, whose waveforms are drawn on one scale."""
-    peak, name = max(row.peak for row in rows), rows[0].recording
-    return {
-        "name": name,
-        "scale": format_number(peak * full_scale, kind="rating"),
-        "duration": format_number(rows[0].duration_s),
-        "warnings": [text for text in warnings if text.startswith(f"{name}: ")],
-        "rows": [
-            {
-                "own": row,
-                "sketch": sketches[row.stimulus_id],
-                "size": f"{row.peak / peak:.3g}" if peak else "1",
-                "flags": find_flags(row),
-                "numbers": [
-                    (value, format_number(value, kind="rating" if unit else "correlation"))
-                    for name, (_, unit) in NUMBERS.items()
-                    for value in [getattr(row, name)]
-                ],
-            }
-            for row in rows
-        ],
-    }
 
 
 def find_flags(stimulus: Stimulus) -> list[str]:
@@ -207,20 +175,6 @@ def find_flags(stimulus: Stimulus) -> list[str]:
     return [name for name, applies in found.items() if applies]
 
 
-def _summarise(built: StimulusSet, n_shown: int, n_recordings: int) -> str:
-    flags = [find_flags(row) for row in built]
-    flagged, hit = Counter(flag for one in flags for flag in one), sum(map(bool, flags))
-    counts = ", ".join(f"{flagged[name]} {FLAGS[name][1]}" for name in FLAGS if flagged[name])
-    unknown = sum(math.isnan(row.sensation_level_db) and row.rms_m_s2 != 0 for row in built)
-    felt = "" if unknown else "all lie above the detection threshold, "
-    told = f" Level over threshold not known: {unknown} of {len(built)}." if unknown else ""
-    if n_shown < n_recordings:
-        told += f" This page shows {n_shown} of {n_recordings} recordings, spread evenly; manifest.csv lists all."
-    if not hit:
-        return f"None of {len(built)} stimuli is flagged: {felt}none is clipped.{told}"
-    return f"{hit} of {len(built)} stimuli {'is' if hit == 1 else 'are'} flagged: {counts}.{told}"
-
-
 def sketch(samples: Samples, rate_hz: float, *, threshold: str) -> Sketch:
     """Sketch a stimulus, shape (n_samples,) or (axes, n_samples), in m/s²."""
     axes = np.atleast_2d(samples)
@@ -228,13 +182,9 @@ def sketch(samples: Samples, rate_hz: float, *, threshold: str) -> Sketch:
     bands = _band_energies(axes, rate_hz)
     loudest = np.sqrt(bands[np.argmax((bands / limits**2).sum(axis=-1))] / (WINDOW_S * rate_hz))
     over = _to_db(loudest / limits)
-    return Sketch(
-        _draw_envelope(axes),
-        _draw_line(_to_db(loudest)),
-        float(CENTRES_HZ[over.argmax()]),
-        float(over.max()),
-        float(_to_db(loudest).max()),
-    )
+    drawn = _draw_envelope(axes), _draw_line(_to_db(loudest))
+    strongest_hz = float(CENTRES_HZ[over.argmax()])
+    return Sketch(*drawn, strongest_hz, float(over.max()), float(_to_db(loudest).max()))
 
 
 def _threshold_rms(threshold: str) -> Samples:

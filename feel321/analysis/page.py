@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from markupsafe import Markup
 
+Row = Mapping[str, float]
 TEMPLATES = Path(__file__).parent / "templates"
 
 
@@ -60,9 +61,7 @@ def _open_templates(*, escape: bool) -> Environment:
     return environment
 
 
-def _write_estimate(
-    ends: Mapping[str, float], kind: str = "correlation", lead: str = "95 % CI "
-) -> str:
+def _write_estimate(ends: Row, kind: str = "correlation", lead: str = "95 % CI ") -> str:
     """Write a value with its interval behind it, in brackets."""
     value, interval = words.format_estimate(ends["value"], ends["low"], ends["high"], kind=kind)
     return value if interval == words.ABSENT else f"{value} ({lead}{interval})"
@@ -89,13 +88,7 @@ FILTERS: Mapping[str, Any] = {
 
 
 def write_script_data(value: object) -> Markup:
-    r"""Write JSON to stand in a script element, which no text in it can end or leave open.
-
-    Examples
-    --------
-    >>> print(write_script_data(["<!--<script"]))
-    ["\u003c!--\u003cscript"]
-    """
+    """Write JSON to stand in a script element, which no text in it can end or leave open."""
     from markupsafe import Markup
 
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

@@ -72,15 +72,13 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
         kinds.plot_profile(ax, profile, participant_means(ratings), looks=assign_looks(names))
     else:
         looks = assign_looks([", ".join(format_name(str(one)) for one in key) for key, _ in parts])
-        rows = []
-        for name in names:
-            marks = [
-                kinds.Mark(row["mean"], row["low"], row["high"], look)
-                for (_, part), look in zip(parts, looks.values(), strict=True)
-                for row in part[part["reducer"] == name].to_dict("records")
-            ]
-            rows.append(kinds.ForestRow(format_name(name), tuple(marks)))
-        kinds.plot_forest(ax, rows, zero=False)
+        part = profile["scale"].map(format_name) + ", " + profile["level"].map(format_name)
+        order = {name: place for place, name in enumerate(names)}
+        frame = profile.assign(part=part, name=profile["reducer"].map(format_name))
+        frame = frame.sort_values("reducer", key=lambda own: own.map(order), kind="stable")
+        kinds.plot_forest(
+            ax, frame, columns="mean low high", series="part", looks=looks, include=()
+        )
         ax.legend(handles=list(make_handles(looks).values()), labels=list(looks))
     ax.set_xlabel(_label_ratings(profile))
     return ax
@@ -106,8 +104,9 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     ax, items = _find_axes(ax), {"": models} if isinstance(models, Primary) else models
     names = (", ".join(name) if isinstance(name, tuple) else str(name) for name in items)
     named = dict(zip(names, items.values(), strict=True))
-    rows = [row for row in kinds.list_slopes(named, {}) if row.label]
-    kinds.plot_forest(ax, rows)
+    frame = kinds.list_slopes(named, {})
+    looks, heading = kinds.look_up(frame["metric"]), "attribute" if any(named) else ""
+    kinds.plot_forest(ax, frame, series="metric", looks=looks, heading=heading)
     ax.set_xlabel("Change in rating per +0.1 of the metric")
     return ax
 
@@ -133,13 +132,12 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
     ax = _find_axes(ax)
     keys = [key for key in ("scale", "level", "metric", "method") if key in frame]
     keys = [key for key in keys if key == "metric" or len(frame[key].unique()) > 1]
-    rows = []
-    for row in frame.to_dict("records"):
-        mark = kinds.Mark(row["value"], row["low"], row["high"])
-        label = ", ".join(format_name(str(row[key])) for key in keys)
-        rows.append(kinds.ForestRow(label, (mark,)))
+    named = [
+        ", ".join(format_name(str(row[key])) for key in keys) for row in frame.to_dict("records")
+    ]
     ceilings = frame["ceiling"].to_numpy(float)
-    kinds.plot_forest(ax, rows, include=ceilings[np.isfinite(ceilings)])
+    include = (0.0, *ceilings[np.isfinite(ceilings)])
+    kinds.plot_forest(ax, frame.assign(name=named), include=include)
     ax.vlines(ceilings, np.arange(len(frame)) - 0.3, np.arange(len(frame)) + 0.3, color="0.4")
     ax.set_xlabel("Correlation with mean ratings")
     return ax

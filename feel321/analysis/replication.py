@@ -32,7 +32,7 @@ from feel321.analysis.primary.sensitivity import FEWEST_REDUCERS, measure_excess
 from feel321.analysis.table.items import recast_pairs, split_tests
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
-from feel321.analysis.words import SATTERTHWAITE
+from feel321.analysis.words import INTERVALS
 from feel321.doors import check_name
 from feel321.names import MEASURES
 
@@ -316,7 +316,7 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
         beside[name] = (gap.estimate, gap.low, gap.high)
     return ClaimValue(
         mean.estimate, mean.low, mean.high, "rating", "points", n, "mixed model with reducers, mean rating",
-        SATTERTHWAITE, beside, note_lacking(claim, rated),
+        INTERVALS["satterthwaite"], beside, note_lacking(claim, rated),
     )  # fmt: skip
 
 
@@ -330,7 +330,7 @@ def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVal
     slope = fit.slopes.loc[[metric]].to_dict("records")[0]
     return ClaimValue(
         slope["tenth"], slope["tenth_low"], slope["tenth_high"], "slope", "points per +0.1", fit.n_items,
-        f"mixed model, {metric} within recordings", SATTERTHWAITE,
+        f"mixed model, {metric} within recordings", INTERVALS["satterthwaite"],
     )  # fmt: skip
 
 
@@ -433,7 +433,7 @@ def measure_correlation(table: Table, claim: PaperClaim, choices: Choices) -> Cl
     return ClaimValue(
         found.value, found.low, found.high, n=found.n_items,
         method=f"{words.format_method(method)} of mean ratings with {words.format_name(metric)}",
-        interval=words.TWO_WAY, note=words.capitalise(explain_spread(table.rows, metric)) if wrong else "",
+        interval=words.INTERVALS["two-way"], note=words.capitalise(explain_spread(table.rows, metric)) if wrong else "",
     )  # fmt: skip
 
 

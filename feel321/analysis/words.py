@@ -20,14 +20,11 @@ ABSENT = "\N{EN DASH}"
 PLACES = {"correlation": 2, "slope": 2, "rating": 1, "df": 1, "count": 0, "p": 3}
 """Digits behind the point, per kind of number."""
 
-SMALLEST_P = 0.001
-"""Below this a probability is written as smaller."""
-
-UNWIELDY = 1e6
-"""From here on a number is written with its power of ten."""
+SMALLEST_P, UNWIELDY = 0.001, 1e6
+"""Below this a probability is written as smaller; from here on a number is written with its power of ten."""
 
 TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
-"""Spaces at which no line may break."""
+"""Spaces at which no line may break: of a percent sign, and of a small probability with its name."""
 
 ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")
 """Names of scales that are abbreviations."""
@@ -51,10 +48,13 @@ METRIC_AXES = {
 MEASURES = {"dissimilarity": "dissimilarity from the reference", "abx": "percentage correct"}
 """Scales that do not rate a stimulus by itself -> what they measure."""
 
-TWO_WAY = "95 % two-way bootstrap interval, over participants and recordings"
-ONE_WAY = "95 % bootstrap interval over participants only: these stimuli as the only ones"
-STUDENT = "95 % t interval over participants, for these recordings"
-SATTERTHWAITE = "95 % t interval, Satterthwaite's degrees of freedom"
+INTERVALS: Mapping[str, str] = MappingProxyType({
+    "two-way": "95 % two-way bootstrap interval, over participants and recordings",
+    "people": "95 % bootstrap interval over participants only: these stimuli as the only ones",
+    "student": "95 % t interval over participants, for these recordings",
+    "satterthwaite": "95 % t interval, Satterthwaite's degrees of freedom",
+})
+"""Kinds of intervals, and how they are described."""
 
 CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"
 """Whether a result was declared before the ratings were seen, or not."""
@@ -74,13 +74,7 @@ def declaring(info: Mapping[str, MetricInfo]) -> Iterator[None]:
 
 
 def format_name(name: str) -> str:
-    """Turn a column or scale name into words.
-
-    Examples
-    --------
-    >>> format_name("equal_intensity"), format_name("spectral_match_bounded_delivered"), format_name("mushra")
-    ('equal intensity', 'bounded spectral match delivered', 'MUSHRA')
-    """
+    """Turn a column or scale name into words."""
     plain = name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
     plain = ABBREVIATED.sub(lambda match: match[0].upper(), plain)
     info = _DECLARED.get().get(name)
@@ -88,13 +82,7 @@ def format_name(name: str) -> str:
 
 
 def format_note(note: str, names: Iterable[str]) -> str:
-    """Put the names that a note holds into words.
-
-    Examples
-    --------
-    >>> format_note("realism, as_is: 'spectral_match' is the same everywhere.", ["as_is", "spectral_match"])
-    'realism, as is: spectral match is the same everywhere.'
-    """
+    """Put the names that a note holds into words."""
 
     def put(match: re.Match[str]) -> str:
         _, name, part = match.groups()
@@ -106,25 +94,13 @@ def format_note(note: str, names: Iterable[str]) -> str:
 
 
 def format_method(name: str) -> str:
-    """Name a kind of correlation.
-
-    Examples
-    --------
-    >>> format_method("spearman"), format_method("within"), format_method("within_kendall")
-    ('Spearman', 'Pearson within recordings', 'Kendall within recordings')
-    """
+    """Name a kind of correlation."""
     kind = (name.removeprefix("within").strip("_") or "pearson").capitalize()
     return f"{kind} within recordings" if name.startswith("within") else kind
 
 
 def format_measure(scale: str) -> str:
-    """Say what the points of a scale measure.
-
-    Examples
-    --------
-    >>> format_measure("realism"), format_measure("ABX")
-    ('realism rating', 'percentage correct')
-    """
+    """Say what the points of a scale measure."""
     return MEASURES.get(scale.casefold(), f"{format_name(scale)} rating")
 
 
@@ -140,13 +116,7 @@ def format_axis(metric: str) -> str:
 
 
 def format_level(level: str) -> str:
-    """Name a level behind a scale; nothing where there is only one, which is given as "".
-
-    Examples
-    --------
-    >>> format_level("as_is"), format_level("")
-    (' (level as is)', '')
-    """
+    """Name a level behind a scale; nothing where there is only one, which is given as ""."""
     return f" (level {format_name(level)})" if level else ""
 
 
@@ -156,25 +126,12 @@ def capitalise(text: str) -> str:
 
 
 def keep_together(value: object) -> object:
-    r"""Keep the percent sign with its number, and a small probability with its name, where a line may break.
-
-    Examples
-    --------
-    >>> keep_together("95 % interval"), keep_together(95)
-    ('95\xa0% interval', 95)
-    """
-    # A subclass of str is markup that was made elsewhere.
+    """Let no line break at the spaces of `TORN`; markup, a subclass of str, was made elsewhere."""
     return TORN.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
 
 
 def name_path(*parts: str) -> str:
-    """Join names to one, without two lists of names that give the same.
-
-    Examples
-    --------
-    >>> name_path("profile", "v1.0", "as_is")
-    'profile.v1%2E0.as_is'
-    """
+    """Join names to one, without two lists of names that give the same."""
     return ".".join(part.replace("%", "%25").replace(".", "%2E") for part in parts)
 
 
@@ -182,47 +139,23 @@ def name_path(*parts: str) -> str:
 
 
 def join_words(names: Sequence[str], last: str = "and") -> str:
-    """List names in a sentence.
-
-    Examples
-    --------
-    >>> join_words(["a"]), join_words(["a", "b", "c"])
-    ('a', 'a, b and c')
-    """
+    """List names in a sentence: a, b and c."""
     return f" {last} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 
 def name_some(names: Sequence[str], most: int = 3) -> str:
-    """List the first names, and count the others.
-
-    Examples
-    --------
-    >>> name_some(["a", "b", "c", "d", "e"]), name_some(["a", "b"])
-    ('a, b, c and 2 more', 'a and b')
-    """
+    """List the first names, and count the others: a, b, c and 2 more."""
     more = len(names) - most
     return f"{', '.join(names[:most])} and {more} more" if more > 0 else join_words(names)
 
 
 def format_count(count: float, name: str) -> str:
-    """Write how many of something there are.
-
-    Examples
-    --------
-    >>> format_count(1, "participant"), format_count(3, "source")
-    ('1 participant', '3 sources')
-    """
+    """Write how many of something there are: 1 participant, 3 sources."""
     return f"{count:.0f} {name}{'s' * (count != 1)}"
 
 
 def format_span(counts: Iterable[int]) -> str:
-    """Write a count, or its range where it differs from case to case.
-
-    Examples
-    --------
-    >>> format_span([6, 6]), format_span([6, 4, 5])
-    ('6', '4–6')
-    """
+    """Write a count, or its range where it differs from case to case."""
     found = sorted(set(counts))
     return f"{found[0]}" if len(found) == 1 else f"{found[0]}–{found[-1]}"
 
@@ -231,13 +164,7 @@ def format_span(counts: Iterable[int]) -> str:
 
 
 def format_number(value: float, *, kind: str = "correlation") -> str:
-    """Write a number as the report shows it; a dash where it is not defined.
-
-    Examples
-    --------
-    >>> format_number(-0.256), format_number(-0.001), format_number(71.26, kind="rating"), format_number(-1e200)
-    ('−0.26', '0.00', '71.3', '−1.0e+200')
-    """
+    """Write a number as the report shows it; a dash where it is not defined."""
     if not math.isfinite(value):
         return ABSENT
     if kind == "p" and value < SMALLEST_P:
@@ -253,13 +180,7 @@ def _write_power(value: float) -> str:
 
 
 def format_interval(low: float, high: float, *, kind: str = "correlation") -> str:
-    """Write an interval as the report shows it; a dash where it is not defined.
-
-    Examples
-    --------
-    >>> format_interval(-0.1, 0.734)
-    '−0.10 to 0.73'
-    """
+    """Write an interval as the report shows it; a dash where it is not defined."""
     if not math.isfinite(low + high):
         return ABSENT
     return f"{format_number(low, kind=kind)} to {format_number(high, kind=kind)}"
@@ -268,13 +189,7 @@ def format_interval(low: float, high: float, *, kind: str = "correlation") -> st
 def format_estimate(
     value: float, low: float, high: float, *, kind: str = "correlation"
 ) -> tuple[str, str]:
-    """Write an estimate and its interval as the report shows them, both in powers of ten where all would read 0.
-
-    Examples
-    --------
-    >>> format_estimate(0.3, 0.1, 0.5), format_estimate(2e-4, -1e-3, 2e-3)
-    (('0.30', '0.10 to 0.50'), ('2.0e−04', '−1.0e−03 to 2.0e−03'))
-    """
+    """Write an estimate and its interval as the report shows them, both in powers of ten where all would read 0."""
     ends, nothing = (value, low, high), format_number(0.0, kind=kind)
     if any(ends) and all(format_number(one, kind=kind) == nothing for one in ends):
         # Of a metric that runs over hundreds, +0.1 is next to nothing, and yet not 0.
@@ -283,12 +198,6 @@ def format_estimate(
 
 
 def format_p(p: float) -> str:
-    """Write a probability behind its name.
-
-    Examples
-    --------
-    >>> format_p(0.0123), format_p(1e-9)
-    ('p = 0.012', 'p <\N{NO-BREAK SPACE}0.001')
-    """
+    """Write a probability behind its name."""
     told = format_number(p, kind="p")
     return f"p {told if told.startswith('<') else f'= {told}'}"

@@ -11,11 +11,11 @@ from itertools import chain, count
 from math import nan
 from pathlib import Path
 from shlex import quote
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from feel321.analysis.replication import Paper, PaperClaim
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
@@ -51,6 +51,9 @@ from feel321.study.settings.read import (
 )
 from feel321.study.settings.schema import AnalysisTable, Settings
 from feel321.types import MetricInfo
+
+if TYPE_CHECKING:
+    from feel321.analysis.replication import Paper
 
 Progress = Callable[[int, int], None]
 
@@ -172,10 +175,12 @@ def list_info(settings: Settings) -> dict[str, MetricInfo]:
     return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
 
 
-def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> Paper | None:
+def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Paper | None":
     """Make the paper that the report answers; mountings: metrics over orientations of the sensor."""
     if (paper := settings.paper) is None:
         return None
+    from feel321.analysis.replication import Paper, PaperClaim
+
     claims = []
     for table in paper.claims:
         own = table.model_dump(exclude={"paper", "options"})

@@ -19,12 +19,12 @@ from feel321.analysis.power import truth as planted
 from feel321.analysis.power.plan import PowerPlan
 from feel321.analysis.power.truth import PowerDesign, Truth
 from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.report import folder as results
 from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table import reading
 from feel321.analysis.table.items import Part, Table, split_tests
 from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Further
-from feel321.analysis.tradeoff import results
 from feel321.analysis.words import ABSENT, format_count, format_name
 from feel321.doors import check_name
 from feel321.files import make_folder

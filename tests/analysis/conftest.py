@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.report import correlations, reducers
-from feel321.analysis.report.write import write_report
+from feel321.analysis.report.write import SECTIONS, write_report
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
 if TYPE_CHECKING:
@@ -146,7 +145,7 @@ def sketched(monkeypatch: pytest.MonkeyPatch) -> None:
 def short(monkeypatch: pytest.MonkeyPatch, sketched: None) -> None:  # noqa: ARG001 - figures are empty too
     """Shorten reports to two sections, not drawn: enough for what files, names and captions are about."""
     monkeypatch.setattr("feel321.analysis.report.section.Picture.figure", None)
-    few = (correlations.SECTIONS[0], reducers.SECTIONS[1])
+    few = [one for one in SECTIONS if one.key in {"metrics", "reducers"}]
     monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", few)
 
 

@@ -88,13 +88,8 @@ def test_the_sentence_as_it_is_read() -> None:
 def test_a_slope_that_turns_alone_is_said() -> None:
     spectral = make_card("realism", "spectral_match", "predicts")
     turned = make_card(
-        "realism",
-        "temporal_match",
-        "opposite",
-        turned=True,
-        given=["spectral_match"],
-        alone="higher",
-    )
+        "realism", "temporal_match", "opposite", turned=True, given=["spectral_match"], alone="higher",
+    )  # fmt: skip
     told = "(at equal spectral match, higher temporal match goes with lower ratings; alone, with higher ratings)."
     assert say([spectral, turned]).endswith(told)
     assert "alone, its direction is open" in say([spectral, turned | {"alone": ""}])
@@ -153,11 +148,8 @@ def test_cards_take_their_numbers_from_the_rows() -> None:
     (card,) = make_cards(found)
     assert card["effect"] == {"value": 4.0, "low": 1.0, "high": 7.0}
     assert (card["r"]["value"], card["ceiling"], card["alone"], card["turned"]) == (
-        -0.5,
-        0.9,
-        "lower",
-        True,
-    )
+        -0.5, 0.9, "lower", True,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -169,16 +161,11 @@ def test_verdicts_without_flagged_raters_are_adjusted_as_the_primary_ones(
 ) -> None:
     rows = [
         {
-            "scale": "mushra",
-            "level": "as_is",
-            "panel": panel,
-            "metric": metric,
-            "p": p,
-            "tenth": tenth,
+            "scale": "mushra", "level": "as_is", "panel": panel, "metric": metric, "p": p, "tenth": tenth,
         }
         for panel, p, tenth in (("everyone", 0.001, 3.0), ("any", p, tenth))
         for metric in ("spectral_match", "temporal_match")
-    ]
+    ]  # fmt: skip
     metrics = {row["metric"] for row in list_changes(conclude_panels(rows))}
     assert metrics == ({"spectral_match", "temporal_match"} if changes else set())
 
@@ -203,20 +190,11 @@ def test_pooled_correlations_that_disagree_with_the_verdict_are_marked(
         "ranks": None,
     }
     panel = {
-        **place,
-        "found": [one],
-        "differences": [],
-        "subject": "Realism",
-        "n_items": 9,
-        "ceiling": math.nan,
-    }
+        **place, "found": [one], "differences": [], "subject": "Realism", "n_items": 9, "ceiling": math.nan,
+    }  # fmt: skip
     claim = {
-        **place,
-        "metric": "spectral_match",
-        "verdict": verdict,
-        "direction": direction,
-        "better_than": [],
-    }
+        **place, "metric": "spectral_match", "verdict": verdict, "direction": direction, "better_than": [],
+    }  # fmt: skip
     reconcile([panel], [claim])
     assert bool(panel["against"]) == against
     lines = render_words("metrics", panels=[panel], map="", ranges=[])

@@ -10,7 +10,7 @@ import pytest
 
 from feel321.analysis.page import render_words
 from feel321.analysis.report import correlations, primary
-from feel321.analysis.report.answer import find_row
+from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import find_steps, order_reducers
 from feel321.analysis.table.reading import Further, read_table

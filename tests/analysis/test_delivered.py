@@ -11,7 +11,7 @@ import pytest
 from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.report import primary, raters
-from feel321.analysis.report.answer import find_row
+from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.reading import read_table

@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers
 from feel321.analysis.figures import kinds, style
-from feel321.analysis.figures.kinds import ForestRow, Mark
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.space import bootstrap_space
 from feel321.analysis.table.metrics import order_reducers
@@ -26,28 +25,28 @@ METRICS = ["spectral_match", "temporal_match"]
 LONG = "a_reducer_of_our_own_with_a_very_long_name_indeed_2026"
 
 
-def draw(rows: list[ForestRow]) -> Axes:
+def draw(rows: list[tuple[object, ...]], **options: str) -> Axes:
     axes = Figure().subplots()
-    kinds.plot_forest(axes, rows)
+    frame = pd.DataFrame(rows, columns=["name", "value", "low", "high", "of"])
+    kinds.plot_forest(axes, frame, **options)
     return axes
 
 
 def test_estimates_lie_at_their_values_and_below_each_other() -> None:
-    two = ForestRow("a", (Mark(1.0, 0.5, 1.5), Mark(2.0, 1.0, 3.0)))
-    axes = draw([two, ForestRow("b"), ForestRow("c", (Mark(-1.0),))])
+    two = [("a", 1.0, 0.5, 1.5, "x"), ("a", 2.0, 1.0, 3.0, "x")]
+    axes = draw([*two, ("c", -1.0, np.nan, np.nan, "b")], heading="of")
     points = [line for line in axes.lines if line.get_marker() == "o"]
     assert [line.get_xdata().tolist() for line in points] == [[1.0], [2.0], [-1.0]]
     heights = [float(line.get_ydata()[0]) for line in points]
     assert heights == sorted(heights)
     labels = axes.get_yticklabels()
-    assert [label.get_text() for label in labels] == ["a", "b", "c"]
-    assert [label.get_fontweight() for label in labels] == ["normal", "bold", "normal"]
+    assert [label.get_text() for label in labels] == ["x", "a", "b", "c"]
+    assert [label.get_fontweight() for label in labels] == ["bold", "normal"] * 2
 
 
 def test_an_endless_interval_gets_an_arrow_and_squeezes_nothing() -> None:
-    usual = [ForestRow(str(n), (Mark(n / 10, n / 10 - 0.1, n / 10 + 0.1),)) for n in range(5)]
-    odd = [ForestRow("odd", (Mark(0.2, -1e6, 1e6),)), ForestRow("none", (Mark(np.nan),))]
-    axes = draw([*usual, *odd])
+    usual = [(str(n), n / 10, n / 10 - 0.1, n / 10 + 0.1, "") for n in range(5)]
+    axes = draw([*usual, ("odd", 0.2, -1e6, 1e6, ""), ("none", np.nan, np.nan, np.nan, "")])
     low, high = axes.get_xlim()
     assert high - low < 20
     assert {line.get_marker() for line in axes.lines} >= {"<", ">"}
@@ -73,9 +72,7 @@ def test_values_of_eq_1_below_the_edge_are_hollow_at_the_edge() -> None:
         "reducer": ["mag321", "dft321", "dft321"], "spectral_match": [-40.0, 0.5, 0.9],
         "mean": [20.0, 60.0, 80.0], "low": [10.0, 50.0, 70.0], "high": [30.0, 70.0, 90.0],
     })  # fmt: skip
-    bounded = stimuli.rename(columns={"spectral_match": "spectral_match_bounded"})
-    assert kinds.count_clipped(stimuli, "spectral_match") == 1
-    assert kinds.count_clipped(bounded, "spectral_match_bounded") == 0
+    assert kinds.find_cut("spectral_match_bounded") == -np.inf
     looks = style.assign_looks(["mag321", "dft321"])
     shown = kinds.plot_stimuli(Figure().subplots(), stimuli, "spectral_match", looks=looks)
     assert shown["mag321"].get_xdata().tolist() == [kinds.CUT]

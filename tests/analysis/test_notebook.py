@@ -12,8 +12,8 @@ from matplotlib.figure import Figure
 from feel321 import analysis, results, stimuli
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.contrasts import compare
-from feel321.analysis.report.answer import find_row
 from feel321.analysis.report.reducers import compute_contrasts
+from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table import schema
 from feel321.protocols import PROTOCOLS

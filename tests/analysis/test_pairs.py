@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.association.correlate import make_panel
-from feel321.analysis.report.answer import find_row
+from feel321.analysis.report.section import find_row
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.reading import Table, read_table
@@ -37,14 +37,8 @@ def write(tmp_path: Path) -> Callable[..., tuple[Path, Path]]:
         )
         rows = [(name, "rec", name, "as_is", role, 0.5, 0.5) for name, role in STIMULI.items()]
         columns = [
-            "stimulus_id",
-            "recording",
-            "reducer",
-            "level",
-            "role",
-            "spectral_match",
-            "temporal_match",
-        ]
+            "stimulus_id", "recording", "reducer", "level", "role", "spectral_match", "temporal_match",
+        ]  # fmt: skip
         pd.DataFrame(rows, columns=columns).to_csv(manifest, index=False)
         return ratings, manifest
 
@@ -72,15 +66,9 @@ def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(
 ) -> None:
     table = read_table(*write(PAIRS))
     assert list_judged(table) == [
-        ("mag321", "test"),
-        ("dft321", "test"),
-        ("orig", "reference"),
-        ("dft321", "pair"),
-        ("dft321", "reference"),
-        ("anchor_low", "anchor"),
-        ("anchor_low", "anchor"),
-        ("mag321", "pair"),
-    ]
+        ("mag321", "test"), ("dft321", "test"), ("orig", "reference"), ("dft321", "pair"),
+        ("dft321", "reference"), ("anchor_low", "anchor"), ("anchor_low", "anchor"), ("mag321", "pair"),
+    ]  # fmt: skip
     assert list(table.rows["reducer"]) == list(table.rows["stimulus_id"])
     assert list(table.rows["rating"]) == [row[-1] for row in PAIRS]
 
@@ -143,13 +131,8 @@ def test_metrics_speak_only_of_what_was_judged_against_its_recording(
     pd.concat([manifest, other]).to_csv(paths[1], index=False)
     table = read_table(*paths)
     assert dict(zip(references, table.rows["matched"], strict=True)) == {
-        "surface": True,
-        "dft321": False,
-        "ghost": True,
-        "orig": True,
-        "": True,
-        "elsewhere": False,
-    }
+        "surface": True, "dft321": False, "ghost": True, "orig": True, "": True, "elsewhere": False,
+    }  # fmt: skip
     assert any("were made against a stimulus of another recording" in note for note in table.notes)
     assert [len(part.rows) for part in split_tests(table)] == [4]
     assert [len(part.rows) for part in split_tests(table, matched=False)] == [6]

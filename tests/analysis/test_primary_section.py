@@ -15,7 +15,7 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import Influence, find_candidates
 from feel321.analysis.report import primary
-from feel321.analysis.report.answer import find_row
+from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
@@ -58,12 +58,8 @@ def plant(
     ]
     whole = pd.concat(rows, ignore_index=True)
     common = {
-        "scale": "realism",
-        "level": "as_is",
-        "role": "test",
-        "simulated": True,
-        "repeat": "1",
-    }
+        "scale": "realism", "level": "as_is", "role": "test", "simulated": True, "repeat": "1",
+    }  # fmt: skip
     return whole.assign(
         **common, source=whole["recording"], reference_id="", item=whole["stimulus_id"]
     )

@@ -7,6 +7,7 @@ import json
 import math
 import re
 import shutil
+import subprocess
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -17,10 +18,10 @@ import pytest
 from scipy import stats
 
 import feel321.analysis.report.folder
-from feel321.analysis.page import inline_svg
-from feel321.analysis.report.answer import find_row
-from feel321.analysis.report.folder import ResultsFolder, list_files
-from feel321.analysis.report.section import make_row, make_slug
+from feel321.analysis import words
+from feel321.analysis.page import inline_svg, write_script_data
+from feel321.analysis.report.folder import list_files, write_folder
+from feel321.analysis.report.section import find_row, make_row, make_slug
 from feel321.analysis.report.write import QUESTIONS, SECTIONS, order_scales, write_report
 from feel321.analysis.table.items import Table
 from feel321.analysis.words import PLACES, format_number
@@ -32,7 +33,8 @@ NUMBER = re.compile(r"(?<![\w.])[−-]?\d+(?:\.\d+)?(?![\w])")
 """A number that stands alone: neither the 321 of dft321 nor a version's parts."""
 
 FIXED = ["value", "low", "high", "p", "n", "interval", "note", "status"]
-MOST_WORDS, MOST_NUMBERS = 2500, 600
+MOST_WORDS, MOST_NUMBERS, SHEETS = 2500, 600, 2
+CHROMIUM = shutil.which("chromium")
 
 
 class Page(HTMLParser):
@@ -105,6 +107,42 @@ def test_the_first_page_is_short(report: Path) -> None:
     text = " ".join(Page(report / "index.html").words)
     assert len(text.split()) <= MOST_WORDS
     assert len(NUMBER.findall(text)) <= MOST_NUMBERS
+
+
+@pytest.mark.skipif(not CHROMIUM, reason="PAGE NOT PRINTED: chromium is not installed")
+def test_the_first_page_prints_on_two_sheets(report: Path, tmp_path: Path) -> None:
+    printed = tmp_path / "index.pdf"
+    command = [
+        CHROMIUM,
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--no-pdf-header-footer",
+    ]
+    command += [f"--user-data-dir={tmp_path}", f"--print-to-pdf={printed}"]
+    page = (report / "index.html").as_uri()
+    subprocess.run([*command, page], capture_output=True, timeout=120, check=True)
+    assert len(re.findall(rb"/Type\s*/Page\b(?!s)", printed.read_bytes())) <= SHEETS
+
+
+WRITTEN = [
+    (words.format_name("spectral_match_bounded_delivered"), "bounded spectral match delivered"),
+    (words.format_name("mushra"), "MUSHRA"), (words.format_method("within_kendall"), "Kendall within recordings"),
+    (words.format_note("as_is: 'mine_w' is odd.", ["as_is", "mine"]), "as is: mine within recordings is odd."),
+    (words.keep_together("95 % interval"), "95\xa0% interval"), (words.name_path("v1.0", "as_is"), "v1%2E0.as_is"),
+    (words.join_words(["a", "b", "c"]), "a, b and c"), (words.name_some(list("abcde")), "a, b, c and 2 more"),
+    (words.format_count(1, "participant"), "1 participant"), (words.format_span([6, 4, 5]), "4–6"),
+    (format_number(-0.256), "−0.26"), (format_number(-0.001), "0.00"), (format_number(-1e200), "−1.0e+200"),
+    (words.format_interval(-0.1, 0.734), "−0.10 to 0.73"), (words.format_interval(math.nan, 1.0), "–"),
+    (words.format_estimate(2e-4, -1e-3, 2e-3), ("2.0e−04", "−1.0e−03 to 2.0e−03")),
+    (words.format_p(0.0123), "p = 0.012"), (words.format_p(1e-9), "p <\xa00.001"),
+    (str(write_script_data(["<!--<script"])), '["\\u003c!--\\u003cscript"]'),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("written", "wanted"), WRITTEN)
+def test_how_names_and_numbers_are_written(written: object, wanted: object) -> None:
+    assert written == wanted
 
 
 def test_a_row_is_one_number_and_says_what_it_is(report: Path) -> None:
@@ -257,12 +295,12 @@ def test_details_hold_every_sentence_table_and_figure(report: Path) -> None:
 def test_every_section_answers_a_question_and_has_its_english() -> None:
     assert len({section.key for section in SECTIONS}) == len(SECTIONS)
     assert {section.question for section in SECTIONS} == set(QUESTIONS) - {"paper"}
-    names = [form.name for section in SECTIONS for form in section.tables]
+    names = [name for section in SECTIONS for name in section.tables]
     assert len(names) == len(set(names))
     assert all(
         column.kind in {*PLACES, "note"}
         for one in SECTIONS
-        for form in one.tables
+        for form in one.tables.values()
         for column in form.columns
     )
 
@@ -290,12 +328,9 @@ def test_a_drawing_takes_the_colours_of_its_page(report: Path) -> None:
 @pytest.mark.parametrize(
     "scales",
     [
-        ("粗さ", "硬さ"),
-        ("very rough", "very-rough"),
-        ("Realism", "realism"),
-        ("x" * 300, "x" * 300 + "y"),
+        ("粗さ", "硬さ"), ("very rough", "very-rough"), ("Realism", "realism"), ("x" * 300, "x" * 300 + "y"),
     ],
-)
+)  # fmt: skip
 def test_any_names_of_scales_make_a_report(
     files: Callable[..., object], tmp_path: Path, scales: tuple[str, ...]
 ) -> None:
@@ -392,8 +427,8 @@ def test_an_interrupted_report_leaves_the_former_one(report: Path, tmp_path: Pat
         raise KeyboardInterrupt
 
     content = {"files": list_files([], ["rows"])}
-    with ResultsFolder(own) as folder, pytest.raises(KeyboardInterrupt):
-        folder.write(content, page=fail, tables={"rows": pd.DataFrame({"r": [0.5]})})
+    with pytest.raises(KeyboardInterrupt):
+        write_folder(own, content, page=fail, tables={"rows": pd.DataFrame({"r": [0.5]})})
     assert {path: path.read_bytes() for path in own.rglob("*") if path.is_file()} == before
     assert list(tmp_path.iterdir()) == [own]
 

@@ -14,7 +14,7 @@ from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import adjust_holm
 from feel321.analysis.report import primary, raters, reducers
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.answer import find_row
+from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table, read_table
 

@@ -11,7 +11,7 @@ import pytest
 from cyclopts import Argument
 from cyclopts.annotations import resolve_optional
 
-from feel321.analysis.report import correlations
+from feel321.analysis.report.write import SECTIONS
 from feel321.study import cli
 from feel321.study.actuator import doctor
 from feel321.study.cli import APP, VERBS, main
@@ -192,7 +192,7 @@ def test_a_study_from_new_to_report(
     assert compared.startswith("compared with 3 checkpoints, the last ")
     assert clean == f"{folder}: 4 journals, no contradiction in them"
     # What follows is about files only: whole reports are written in tests/analysis.
-    monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", correlations.SECTIONS[:1])
+    monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", SECTIONS[2:3])
     assert run("analyze", folder) == f"{study.report / 'index.html'}\n"
     assert (study.report / "index.html").stat().st_size > 1000
     journals = "".join(path.read_text(encoding="utf-8") for path in study.journals)

@@ -68,7 +68,7 @@ def test_the_first_sentence_names_the_surprise_and_the_slopes_hold_their_plants(
         found = primary.compute(table, choices)
         paper = make_paper(read_settings(park[0].settings))
         assert paper is not None
-        section = paper_section.compute(table, choices, paper, others={"primary": found})
+        section = paper_section.compute(table, choices, paper=paper, others={"primary": found})
         first = render_words("paper", **section.facts)[1]
         named += (
             "mag321 was rated" in first.lower() and "the paper names it as an exception" in first

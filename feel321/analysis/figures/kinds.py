@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -49,55 +49,52 @@ FARTHEST = 6.0
 of all intervals: one that is uninformative must not squeeze all others."""
 
 
-class Mark(NamedTuple):
-    """An estimate to be drawn; NaN where there is none."""
-
-    value: float
-    low: float = np.nan
-    high: float = np.nan
-    look: Look = PLAIN
-    filled: bool = True
-
-
-class ForestRow(NamedTuple):
-    """A row of a forest plot, with its marks below each other; without marks a heading."""
-
-    label: str
-    marks: tuple[Mark, ...] = ()
-
-
-def plot_forest(
-    axes: Axes, rows: Sequence[ForestRow], *, include: Iterable[float] = (), zero: bool = True
+def plot_forest(  # noqa: PLR0913 - what a forest may have, by name
+    axes: Axes,
+    frame: DataFrame,
+    *,
+    columns: str = "value low high",
+    looks: Mapping[str, Look] = MappingProxyType({}),
+    series: str = "",
+    heading: str = "",
+    include: Iterable[float] = (0.0,),
 ) -> None:
-    """Plot rows of estimates, the first on top; include: values that the axis must hold; zero: with a line at zero."""
-    limits = _find_limits(rows, [*include, *([0.0] if zero else [])])
-    if zero:
+    """Plot estimates with their intervals, the first on top: a row per name, in it a mark per series.
+
+    frame: the column `name`, those of value, low and high, and `filled` where some are hollow. looks: of each series.
+    heading: column of what rows are headed by. include: values that the axis must hold; at 0 it has a line.
+    """
+    held = list(include)
+    limits = _find_limits(frame[columns.split()].to_numpy(np.float64), held)
+    labels: list[tuple[str, bool]] = []
+    head = None
+    for keys, part in frame.groupby([heading or "name", "name"], sort=False):
+        if heading and keys[0] != head:
+            head = keys[0]
+            labels.append((str(head), True))
+        for number, row in enumerate(part.to_dict("records")):
+            offset = (number - (len(part) - 1) / 2) * MARK_CM / ROW_CM
+            look = looks.get(str(row[series]), PLAIN) if series else PLAIN
+            ends, filled = [row[name] for name in columns.split()], bool(row.get("filled", True))
+            _plot_mark(axes, ends, len(labels) + offset, limits=limits, look=look, filled=filled)
+        labels.append((str(keys[1]), False))
+    if 0.0 in held:
         axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=1)
-    for place, row in enumerate(rows):
-        for number, mark in enumerate(row.marks):
-            offset = (number - (len(row.marks) - 1) / 2) * MARK_CM / ROW_CM
-            _plot_mark(axes, mark, height=place + offset, limits=limits)
-    axes.set(xlim=limits, ylim=(len(rows) - 0.4, -0.6))
-    axes.set_yticks(
-        range(len(rows)),
-        [
-            style.fit_text(
-                row.label, LABEL_CM if row.marks else LABEL_CM + 1, lines=2 if row.marks else 1
-            )
-            for row in rows
-        ],
-    )
+    axes.set(xlim=limits, ylim=(len(labels) - 0.4, -0.6))
+    texts = [
+        style.fit_text(text, LABEL_CM + is_head, lines=1 if is_head else 2)
+        for text, is_head in labels
+    ]
+    axes.set_yticks(range(len(labels)), texts)
     axes.tick_params(axis="y", length=0)
-    for label, row in zip(axes.get_yticklabels(), rows, strict=True):
-        label.set_fontweight("normal" if row.marks else "bold")
+    for label, (_, is_head) in zip(axes.get_yticklabels(), labels, strict=True):
+        label.set_fontweight("bold" if is_head else "normal")
     axes.locator_params(axis="x", nbins=5)
 
 
-def _find_limits(rows: Sequence[ForestRow], include: Sequence[float]) -> tuple[float, float]:
+def _find_limits(estimates: Values, include: Sequence[float]) -> tuple[float, float]:
     """Find the part of the axis that holds all estimates, and all intervals that are not endless."""
-    marks = [mark for row in rows for mark in row.marks]
-    values = np.array([*(mark.value for mark in marks), *include], dtype=np.float64)
-    ends = np.array([(mark.low, mark.high) for mark in marks], dtype=np.float64).reshape(-1, 2)
+    values, ends = np.array([*estimates[:, 0], *include]), estimates[:, 1:]
     values, ends = values[np.isfinite(values)], ends[np.isfinite(ends).all(axis=1)]
     if not len(values):
         return -1.0, 1.0
@@ -110,34 +107,20 @@ def _find_limits(rows: Sequence[ForestRow], include: Sequence[float]) -> tuple[f
     return float(low - pad), float(high + pad)
 
 
-def _plot_mark(axes: Axes, mark: Mark, *, height: float, limits: tuple[float, float]) -> None:
-    if np.isnan(mark.value):
-        axes.text(
-            sum(limits) / 2, height, "no estimate", ha="center", va="center", color=style.GREY
-        )
+def _plot_mark(
+    axes: Axes, ends: Sequence[float], height: float, *, limits: tuple[float, float], look: Look, filled: bool
+) -> None:  # fmt: skip
+    value, low, high = ends
+    if np.isnan(value):
+        place: dict[str, Any] = {"ha": "center", "va": "center", "color": style.GREY}
+        axes.text(sum(limits) / 2, height, "no estimate", **place)
         return
-    strokes: dict[str, Any] = {"color": mark.look.colour, "zorder": 3, "clip_on": False}
-    axes.plot(np.clip((mark.low, mark.high), *limits), [height, height], linewidth=1.0, **strokes)
-    for beyond, edge, arrow in (
-        (mark.low < limits[0], limits[0], "<"),
-        (mark.high > limits[1], limits[1], ">"),
-    ):
-        if beyond:
-            axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **strokes)
-    style.plot_marks(axes, mark.value, height, look=mark.look, filled=mark.filled, clip_on=False)
-
-
-def draw_forest(
-    rows: Sequence[ForestRow], label: str, *, include: Iterable[float] = (), zero: bool = True
-) -> tuple[Figure, Axes]:
-    """Draw a forest as a figure of its own."""
-    marks = max((len(row.marks) for row in rows), default=1)
-    height = (ROW_CM + MARK_CM * max(0, marks - 1)) * len(rows) + AXIS_CM
-    with style.print_style():
-        figure, axes = style.new_figure(height)
-        plot_forest(axes, rows, include=include, zero=zero)
-        axes.set_xlabel(label)
-    return figure, axes
+    strokes: dict[str, Any] = {"color": look.colour, "zorder": 3, "clip_on": False}
+    axes.plot(np.clip((low, high), *limits), [height, height], linewidth=1.0, **strokes)
+    arrows = (low < limits[0], limits[0], "<"), (high > limits[1], limits[1], ">")
+    for edge, arrow in ((edge, arrow) for beyond, edge, arrow in arrows if beyond):
+        axes.plot(edge, height, marker=arrow, markersize=3, markeredgewidth=0, **strokes)
+    style.plot_marks(axes, value, height, look=look, filled=filled, clip_on=False)
 
 
 def look_up(names: Iterable[str]) -> dict[str, Look]:
@@ -154,65 +137,67 @@ def draw_estimates(  # noqa: PLR0913 - what a forest may have, by name
     *,
     columns: str = "value low high",
     series: str = "",
+    heading: str = "",
     lines: Mapping[str, float] = MappingProxyType({"-": 0.0}),
     band: tuple[float, float] = (np.nan, np.nan),
     title: str = "",
 ) -> Figure:
-    """Draw estimates with their intervals: a row per name, a mark per series.
+    """Draw a forest as a figure of its own, as `plot_forest` takes its frame.
 
-    frame: the column `name`, those of value, low and high, that of the series, and `filled` where some are hollow.
     lines: line style -> place of a vertical line; band: places between which it is shaded.
     """
     looks = look_up(frame[series]) if series else {}
-    value, low, high = columns.split()
-    rows = []
-    for name, part in frame.groupby("name", sort=False):
-        marks = tuple(
-            Mark(
-                row[value], row[low], row[high], looks[str(row[series])] if series else PLAIN,
-                bool(row.get("filled", True)),
-            )
-            for row in part.to_dict("records")
-        )  # fmt: skip
-        rows.append(ForestRow(str(name), marks))
     known = [place for place in (*lines.values(), *band) if np.isfinite(place)]
-    figure, axes = draw_forest(rows, label, include=known, zero=False)
-    for line, place in lines.items():
-        if np.isfinite(place):
-            colour, width = (style.GREY, 0.6) if line == "-" else (style.BLACK, 1.0)
-            axes.axvline(place, linestyle=line, color=colour, linewidth=width, zorder=1)
-    if np.isfinite(band).all():
-        axes.axvspan(*band, color=style.PALE, linewidth=0, zorder=0)
+    sizes = frame.groupby([heading or "name", "name"]).size()
+    n_rows = len(sizes) + (frame[heading].nunique() if heading else 0)
     with style.print_style():
+        figure, axes = style.new_figure(
+            (ROW_CM + MARK_CM * (int(sizes.max()) - 1)) * n_rows + AXIS_CM
+        )
+        held: dict[str, Any] = {
+            "columns": columns,
+            "looks": looks,
+            "series": series,
+            "heading": heading,
+        }
+        plot_forest(axes, frame, include=known, **held)
+        axes.set_xlabel(label)
+        for line, place in lines.items():
+            if place and np.isfinite(place):
+                colour, width = (style.GREY, 0.6) if line == "-" else (style.BLACK, 1.0)
+                axes.axvline(place, linestyle=line, color=colour, linewidth=width, zorder=1)
+        if np.isfinite(band).all():
+            axes.axvspan(*band, color=style.PALE, linewidth=0, zorder=0)
         if title:
             style.add_title(figure, title)
-        if len(looks) > 1:
+        if len(looks) > 1 and not heading:
             named = {format_name(name): look for name, look in looks.items()}
             style.add_legend(figure, style.make_handles(named))
     return figure
 
 
-def list_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Iterator[ForestRow]:
-    """List the slopes of primary models as rows: a heading per model, a row per metric."""
-    looks = look_up(name for model in models.values() for name in model.slopes.index)
-    several = len({step.per for step in steps.values()}) > 1
+def list_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> DataFrame:
+    """List the slopes of primary models: a heading per model, a row per metric."""
+    from pandas import DataFrame
+
+    several, rows = len({step.per for step in steps.values()}) > 1, []
     for attribute, model in models.items():
-        yield ForestRow(format_name(attribute))
         for row in model.slopes.reset_index().to_dict("records"):
             metric = str(row["metric"])
             step = steps.get(metric, Step())
-            value, low, high = (
-                row[f"tenth{end}"] * step.size / TENTH for end in ("", "_low", "_high")
-            )
+            names = {"value": "tenth", "low": "tenth_low", "high": "tenth_high"}
+            ends = {end: row[name] * (step.size / TENTH) for end, name in names.items()}
             name = format_name(metric) + f", per {step.per}" * several
-            yield ForestRow(name, (Mark(value, low, high, looks[metric], not model.fit.singular),))
+            about = {"attribute": format_name(attribute), "name": name, "metric": metric}
+            rows.append(about | ends | {"filled": not model.fit.singular})
+    return DataFrame(rows)
 
 
 def draw_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Figure:
     """Draw the slopes of the primary model per attribute and metric, points per step with Satterthwaite intervals."""
     per = {step.per for step in steps.values()}
     label = f"Points of rating per {per.pop() if len(per) == 1 else 'step'} of metric"
-    return draw_forest(list(list_slopes(models, steps)), label)[0]
+    return draw_estimates(list_slopes(models, steps), label, series="metric", heading="attribute")
 
 
 # Scatter: stimuli as points, their ratings against a metric, delivered against intended, residuals.
@@ -229,34 +214,22 @@ def find_cut(metric: str) -> float:
     return CUT if is_raw else -np.inf
 
 
-def count_clipped(stimuli: DataFrame, metric: str) -> int:
-    """Count the stimuli that a scatter cannot show in their place."""
-    return int((stimuli[metric] < find_cut(metric)).sum())
-
-
 def plot_stimuli(
     axes: Axes, stimuli: DataFrame, metric: str, *, looks: Mapping[str, Look], size: float = 4.0
 ) -> dict[str, Any]:
     """Plot the mean rating of each stimulus against a metric, bars over participants; return the marks by reducer."""
-    at = stimuli[metric].clip(lower=find_cut(metric))
-    axes.vlines(
-        at, stimuli["low"], stimuli["high"], colors=style.GREY, linewidths=0.35, alpha=0.6, zorder=1
-    )
+    cut = find_cut(metric)
+    at, inside = stimuli[metric].clip(lower=cut), stimuli[metric] >= cut
+    bars: dict[str, Any] = {"colors": style.GREY, "linewidths": 0.35, "alpha": 0.6, "zorder": 1}
+    axes.vlines(at, stimuli["low"], stimuli["high"], **bars)
     shown: dict[str, Any] = {}
     for reducer in order_reducers(stimuli["reducer"]):
         own = stimuli["reducer"] == reducer
-        inside = stimuli[metric] >= find_cut(metric)
         for filled, chosen in ((False, own & ~inside), (True, own & inside)):
             if chosen.any():
-                line = style.plot_marks(
-                    axes,
-                    at[chosen],
-                    stimuli.loc[chosen, "mean"],
-                    look=looks[reducer],
-                    size=size,
-                    filled=filled,
-                )
-                shown[reducer] = line
+                look: dict[str, Any] = {"look": looks[reducer], "size": size, "filled": filled}
+                marks = style.plot_marks(axes, at[chosen], stimuli.loc[chosen, "mean"], **look)
+                shown[reducer] = marks
     axes.set_xlabel(format_axis(metric))
     return shown
 
@@ -271,20 +244,14 @@ def draw_scatters(
         figure = style.new_canvas(CELL_CM * len(panels) + AXIS_CM)
         grid = figure.subplots(len(panels), len(metrics), sharex="col", sharey=True, squeeze=False)
         for line, panel in zip(grid, panels, strict=True):
-            line[0].set_ylabel(
-                style.label_scale(panel.scale, CELL_CM - 0.4, level=panel.level * several)
-            )
+            level = panel.level * several
+            line[0].set_ylabel(style.label_scale(panel.scale, CELL_CM - 0.4, level=level))
+            found = {one.metric: one for one in panel.associations if one.method == method}
             for axes, metric in zip(line, metrics, strict=True):
                 shown |= plot_stimuli(axes, panel.stimuli, metric, looks=looks, size=4.2)
-                (one,) = (
-                    one
-                    for one in panel.associations
-                    if (one.metric, one.method) == (metric, method)
-                )
                 axes.set(ylim=(LOWEST - 3, HIGHEST + 3), yticks=np.linspace(LOWEST, HIGHEST, 5))
-                axes.set_title(
-                    f"r = {format_number(one.value)} ({format_interval(one.low, one.high)})"
-                )
+                ends = format_interval(found[metric].low, found[metric].high)
+                axes.set_title(f"r = {format_number(found[metric].value)} ({ends})")
                 axes.locator_params(axis="x", nbins=5)
                 axes.label_outer()
         for axes in grid[-1]:
@@ -330,12 +297,7 @@ def draw_residuals(models: Mapping[str, Primary]) -> Figure:
     """Draw a normal quantile plot of each model's residuals, and the residuals against the fitted values."""
     from scipy.special import ndtri
 
-    points: dict[str, Any] = {
-        "marker": "o",
-        "linestyle": "none",
-        "markersize": 2,
-        "markeredgewidth": 0,
-    }
+    points: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2, "markeredgewidth": 0}  # fmt: skip
     with style.print_style():
         figure = style.new_canvas(CELL_CM * len(models))
         grid = figure.subplots(len(models), 2, squeeze=False)
@@ -348,11 +310,8 @@ def draw_residuals(models: Mapping[str, Primary]) -> Figure:
             left.plot(ndtri((chosen + 0.5) / n), ordered[chosen], color=style.BLACK, **points)
             right.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
             right.plot(fitted[chosen], residuals[chosen], color=style.BLACK, alpha=0.4, **points)
-            left.set(
-                xlabel="Normal quantile (SD)",
-                ylabel="Residual (SD)",
-                title=style.fit_text(name, 6.0),
-            )
+            title = style.fit_text(name, 6.0)
+            left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)", title=title)
             right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
     return figure
 
@@ -373,9 +332,8 @@ def draw_profiles(
         for axes, (name, profile, people) in zip(grid.flat, parts, strict=False):
             plot_profile(axes, profile, people, looks=looks, label_cm=LABEL_CM / columns**0.5)
             axes.set_title(style.fit_text(name, 4.5))
-            axes.set_xlabel(
-                style.label_scale(str(profile["scale"].iloc[0]), style.WIDTH_CM / columns - 3)
-            )
+            scale = str(profile["scale"].iloc[0])
+            axes.set_xlabel(style.label_scale(scale, style.WIDTH_CM / columns - 3))
         for axes in grid.flat[len(parts) :]:
             axes.remove()
     return figure
@@ -399,29 +357,17 @@ def plot_profile(
     places = {key: place + 0.5 * (place >= n_tests) for place, key in enumerate(keys)}
     if 0 < n_tests < len(keys):
         axes.axhline(n_tests - 0.25, color=style.GREY, linewidth=style.THIN, linestyle=":")
+    pale: dict[str, Any] = {"color": style.GREY, "alpha": 0.6, "marker": ".", "markersize": 2}
     for (joined, _), part in people.groupby([people["role"] == ROLES[0], "participant"]):
         height = np.array([places[key] for key in zip(part["role"], part["reducer"], strict=True)])
         down, line = np.argsort(height), "-" if joined else "none"
-        axes.plot(
-            part["rating"].to_numpy()[down],
-            height[down],
-            linestyle=line,
-            color=style.GREY,
-            linewidth=0.4,
-            alpha=0.6,
-            marker=".",
-            markersize=2,
-        )
+        at = part["rating"].to_numpy()[down]
+        axes.plot(at, height[down], linestyle=line, linewidth=0.4, **pale)
     for (role, reducer), height in places.items():
         row, look = means[role, reducer], looks.get(reducer, PLAIN)
         if np.isfinite(row["low"]):
-            axes.plot(
-                [row["low"], row["high"]],
-                [height, height],
-                color=look.colour,
-                linewidth=1.2,
-                zorder=3,
-            )
+            bar: dict[str, Any] = {"color": look.colour, "linewidth": 1.2, "zorder": 3}
+            axes.plot([row["low"], row["high"]], [height, height], **bar)
         style.plot_marks(axes, row["mean"], height, look=look, size=4.5)
     labels = [
         style.fit_text(name if role == ROLES[0] else f"{name} ({role})", label_cm)
@@ -450,30 +396,20 @@ def draw_space(ellipses: Statistic, names: Sequence[str]) -> Figure:
     looks = style.assign_looks([name for name in names if name != ORIGINAL]) | {ORIGINAL: STAR}
     with style.print_style():
         figure, axes = style.new_figure(MAP_CM)
-        places = zip(
-            names, ellipses.space.positions, ellipses.half_axes, ellipses.angle, strict=True
-        )
-        for name, place, half, angle in places:
+        shapes = (names, ellipses.space.positions, ellipses.half_axes, ellipses.angle)
+        for name, place, half, angle in zip(*shapes, strict=True):
             look = looks[name]
-            axes.add_patch(
-                Ellipse(
-                    tuple(place),
-                    *(2 * half),
-                    angle=float(angle),
-                    facecolor=look.colour,
-                    alpha=0.15,
-                    linewidth=0,
-                )
-            )
+            fill: dict[str, Any] = {"facecolor": look.colour, "alpha": 0.15, "linewidth": 0}
+            axes.add_patch(Ellipse(tuple(place), *(2 * half), angle=float(angle), **fill))
             style.plot_marks(axes, place[0], place[1], look=look, size=9.0 if look == STAR else 4.5)
         unit = "rank order only" if ellipses.space.ordinal else "unit of dissimilarity"
         axes.set(xlabel=f"Dimension 1 ({unit})", ylabel=f"Dimension 2 ({unit})")
         axes.autoscale_view()
         axes.set_aspect("equal", adjustable="datalim")
         stress, people = ellipses.space.stress, ellipses.n_participants
-        style.add_title(
-            figure,
-            f"Stress-1 = {stress:.2f}; ellipses: n = {people} participants, {ellipses.draws} draws.",
+        title = (
+            f"Stress-1 = {stress:.2f}; ellipses: n = {people} participants, {ellipses.draws} draws."
         )
+        style.add_title(figure, title)
         style.add_legend(figure, style.make_handles({name: looks[name] for name in names}))
     return figure

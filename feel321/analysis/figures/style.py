@@ -12,6 +12,7 @@ import textwrap
 import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import cycle
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -69,10 +70,8 @@ class Look:
 
 def assign_looks(reducers: Sequence[str]) -> dict[str, Look]:
     """Give every reducer a look."""
-    colours, markers = len(OKABE_ITO), len(MARKERS)
-    return {
-        name: Look(OKABE_ITO[i % colours], MARKERS[i % markers]) for i, name in enumerate(reducers)
-    }
+    pairs = zip(cycle(OKABE_ITO), cycle(MARKERS), strict=False)
+    return {name: Look(*pair) for name, pair in zip(reducers, pairs, strict=False)}
 
 
 @contextmanager
@@ -82,11 +81,8 @@ def print_style() -> Iterator[None]:
 
     # All settings but the window's start from the library's own: a matplotlibrc in the working folder must not
     # change a byte.
-    plain = {
-        name: value
-        for name, value in rcParamsDefault.items()
-        if not name.startswith(("backend", "_"))
-    }
+    apart = ("backend", "_")
+    plain = {name: one for name, one in rcParamsDefault.items() if not name.startswith(apart)}
     with rc_context({**plain, **PRINT}), warnings.catch_warnings():
         # `list_undrawable` lists them once.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
@@ -98,9 +94,7 @@ def list_undrawable(names: Iterable[str]) -> str:
     from matplotlib.font_manager import findfont, get_font
 
     known = get_font(findfont(PRINT["font.family"])).get_charmap()
-    return "".join(
-        sorted({letter for name in names for letter in name if ord(letter) not in known})
-    )
+    return "".join(sorted({one for name in names for one in name if ord(one) not in known}))
 
 
 def new_canvas(height_cm: float) -> Figure:
@@ -138,20 +132,13 @@ def plot_marks(
 
 
 def fit_text(text: str, width_cm: float, *, lines: int = 2) -> str:
-    """Break a text into lines that are about as wide as their place; what does not fit loses its middle.
-
-    Examples
-    --------
-    >>> fit_text("dft321_windowed_by_its_authors_2026", 2.0).splitlines()
-    ['dft321_', 'windo…s_2026']
-    """
+    """Break a text into lines that are about as wide as their place; what does not fit loses its middle."""
     room = max(4, int(width_cm * LETTERS_PER_CM))
     parts = (textwrap.wrap(part.replace("_", "_ "), room) or [""] for part in text.split("\n"))
     found = [line.replace("_ ", "_") for part in parts for line in part]
     if len(found) > lines:
-        rest = "".join(
-            line if line.endswith("_") else f"{line} " for line in found[lines - 1 :]
-        ).rstrip()
+        parted = (line if line.endswith("_") else f"{line} " for line in found[lines - 1 :])
+        rest = "".join(parted).rstrip()
         kept, tail = (room - 1) // 2, room // 2
         found[lines - 1 :] = [f"{rest[:kept].rstrip()}…{rest[-tail:].lstrip()}"]
     return "\n".join(found)
@@ -160,9 +147,8 @@ def fit_text(text: str, width_cm: float, *, lines: int = 2) -> str:
 def label_scale(scale: str, length_cm: float = 6.0, *, level: str = "") -> str:
     """Label an axis of that length by the scale that was rated, and by the level where there are several."""
     of = f", level {format_name(level)}" if level else ""
-    return fit_text(
-        f"Mean {format_measure(scale)}{of} ({LOWEST:.0f}–{HIGHEST:.0f})", length_cm, lines=3
-    )
+    text = f"Mean {format_measure(scale)}{of} ({LOWEST:.0f}–{HIGHEST:.0f})"
+    return fit_text(text, length_cm, lines=3)
 
 
 def add_title(figure: Figure, text: str) -> None:
@@ -178,13 +164,8 @@ def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
         return
     labels = [fit_text(name, WIDTH_CM / 2, lines=1) for name in shown]
     columns = max(1, int(WIDTH_CM / (max(map(len, labels)) / LETTERS_PER_CM + 0.9)))
-    place: dict[str, Any] = {
-        "loc": "outside lower center",
-        "handletextpad": 0,
-        "columnspacing": 0.8,
-        "frameon": False,
-    }
-    figure.legend(list(shown.values()), labels, ncols=columns, **place)
+    place: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "frameon": False}
+    figure.legend(list(shown.values()), labels, handletextpad=0, columnspacing=0.8, **place)
     _grow(figure, 0.45 * -(-len(labels) // columns))
 
 

@@ -12,62 +12,52 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.primary.sensitivity import LOST, NOT_ESTIMABLE, OPEN, PREDICTS
-from feel321.analysis.report.correlations import DRAWN
+from feel321.analysis.report.section import Found, find_row
 from feel321.analysis.words import format_method, format_name, join_words
 
 if TYPE_CHECKING:
-    from feel321.analysis.report.section import Found, Row
+    from feel321.analysis.report.section import Row
 
 OPPOSITE = "opposite"
 NAMED = 2
 """Exceptional reducers, and findings of other protocols, that the sentence names before it only counts."""
 
 PLACE = ("scale", "level", "metric")
-BLANK = dict.fromkeys(("value", "low", "high"), math.nan)
-
-
-def find_row(rows: Iterable[Row], quantity: str, **keys: Any) -> Row | None:  # noqa: ANN401 - keys of a row
-    """Find the row of a quantity by its keys."""
-    wanted = {"quantity": quantity, **keys}.items()
-    return next((row for row in rows if all(row.get(key) == one for key, one in wanted)), None)
 
 
 def make_cards(found: Mapping[str, Found]) -> list[Row]:
     """Make a card of every slope: its verdict, effect, correlation alone, noise ceiling, and what it depends on."""
-    verdicts = found["primary"].verdicts if "primary" in found else ()
-    slopes = found["primary"].rows.get("slopes", ()) if verdicts else ()
-    alone = found["metrics"].rows.get("associations", ()) if "metrics" in found else ()
-    without = found["raters"].facts.get("unflagged", ()) if "raters" in found else ()
+    primary, metrics, raters = (found.get(key, Found()) for key in ("primary", "metrics", "raters"))
+    slopes, alone = primary.rows.get("slopes", ()), metrics.rows.get("associations", ())
+    without = raters.facts.get("unflagged", ())
     unflagged = {tuple(row[key] for key in PLACE): row["verdict"] for row in without}
+    blank: Row = dict.fromkeys(("value", "low", "high"), math.nan)
     cards = []
-    for verdict in verdicts:
+    for verdict in primary.verdicts:
         place = {key: verdict[key] for key in PLACE}
-        within = place | {"method": format_method(DRAWN)}
-        effect = find_row(slopes, "slope_quartile", **place)
-        r = find_row(alone, "r", **within) or BLANK
-        others = [one["metric"] for one in verdicts if one["subject"] == verdict["subject"]]
+        within = place | {"method": format_method("within")}
+        effect, r = (
+            find_row(slopes, "slope_quartile", **place),
+            find_row(alone, "r", **within) or blank,
+        )
+        others = [one["metric"] for one in primary.verdicts if one["subject"] == verdict["subject"]]
         known = [
             name
             for name in others
             if name != verdict["metric"]
             and find_row(slopes, "slope_quartile", **place | {"metric": name})
         ]
-        predicts, size = verdict["verdict"] == PREDICTS, (effect or BLANK)["value"]
+        way = "higher" if r["value"] > 0 else "lower"
+        predicts, size = verdict["verdict"] == PREDICTS, (effect or blank)["value"]
         cards.append({
-            **verdict, "effect": {end: (effect or BLANK)[end] for end in BLANK}, "r": {end: r[end] for end in BLANK},
-            "ceiling": (find_row(alone, "ceiling", **within) or BLANK)["value"],
+            **verdict, "effect": {end: (effect or blank)[end] for end in blank}, "r": {end: r[end] for end in blank},
+            "ceiling": (find_row(alone, "ceiling", **within) or blank)["value"],
             "given": known if effect else [], "unflagged": unflagged.get(tuple(place.values()), ""),
             "outcome": OPPOSITE if verdict["opposite"] else verdict["verdict"],
-            "turned": predicts and size * r["value"] < 0, "alone": _find_way(r),
+            # How ratings go with a metric alone; empty where its interval covers zero.
+            "turned": predicts and size * r["value"] < 0, "alone": way if r["low"] * r["high"] > 0 else "",
         })  # fmt: skip
     return cards
-
-
-def _find_way(r: Mapping[str, float]) -> str:
-    """Find how ratings go with a metric alone; empty where its interval covers zero."""
-    if not r["low"] * r["high"] > 0:
-        return ""
-    return "higher" if r["value"] > 0 else "lower"
 
 
 # The clauses of the sentence.
@@ -81,9 +71,8 @@ def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
     }
     alike: dict[tuple[Any, ...], list[str]] = {}
     for metric, own in by_metric.items():
-        alike.setdefault(tuple((card["outcome"], card["turned"]) for card in own), []).append(
-            metric
-        )
+        outcomes = tuple((card["outcome"], card["turned"]) for card in own)
+        alike.setdefault(outcomes, []).append(metric)
     clauses = [clause for group in alike.values() for clause in _group(cards, group)]
     if "primary" in found:
         clauses += _list_exceptions(cards, found["primary"].rows.get("exceptions", ()))
@@ -91,11 +80,20 @@ def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
         if own := [card for card in every if card["beyond_level"] == LOST]:
             clauses.append({"kind": "lost", "metric": metric, "what": name_scales(own, every)})
     if "raters" in found and any(card["unflagged"] for card in cards):
-        clauses.append(_tell_unflagged(by_metric, found["raters"].facts))
-    told = [text for one in found.values() for text in one.clauses]
+        # Verdicts that are others without the raters whom screening rules flag.
+        ways: dict[tuple[str, str], list[str]] = {}
+        for metric, every in by_metric.items():
+            for way in dict.fromkeys(card["unflagged"] for card in every if card["unflagged"]):
+                own = [card for card in every if card["unflagged"] == way]
+                turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
+                key = OPPOSITE if turned else way, name_scales(own, every)
+                ways.setdefault(key, []).append(metric)
+        told = [{"kind": way, "what": what, "metrics": own} for (way, what), own in ways.items()]
+        sizes = {name: found["raters"].facts[name] for name in ("flagged", "n_raters")}
+        clauses.append({"kind": "unflagged", **sizes, "ways": told})
+    others = [{"kind": "other", "text": text} for one in found.values() for text in one.clauses]
     # More of them stand beneath the cards, where they would be said a second time.
-    shown = told if len(told) <= NAMED or not clauses else []
-    return clauses + [{"kind": "other", "text": text} for text in shown]
+    return clauses + (others if len(others) <= NAMED or not clauses else [])
 
 
 def _group(cards: Sequence[Row], metrics: Sequence[str]) -> Iterator[Row]:
@@ -108,9 +106,14 @@ def _group(cards: Sequence[Row], metrics: Sequence[str]) -> Iterator[Row]:
         subjects = {card["subject"] for card in own}
         same = [card for card in cards if card["metric"] in metrics and card["subject"] in subjects]
         hinges = list(dict.fromkeys(tuple(card["hinges_on"]) for card in same if card["hinges_on"]))
+        # The metric that predicts better than each other one of the group on all of these scales.
+        best = [
+            metric for metric in metrics if len(metrics) > 1 and all(
+                {*metrics} - {metric} <= {*card["better_than"]} for card in same if card["metric"] == metric
+            )
+        ]  # fmt: skip
         yield {
-            "kind": outcome, "metrics": list(metrics), "what": name_scales(own, every),
-            "best": _find_best(same, metrics),
+            "kind": outcome, "metrics": list(metrics), "what": name_scales(own, every), "best": (*best, "")[0],
             "few": list(dict.fromkeys(unit for card in same for unit in card["few"])),
             "turns": [card for card in same if card["turned"]],
             "hinges": list(hinges[0]) if len(hinges) == 1 else ["several"] * len(hinges),
@@ -140,15 +143,6 @@ def list_subjects(subjects: Sequence[str]) -> str:
     ])
 
 
-def _find_best(same: Sequence[Row], metrics: Sequence[str]) -> str:
-    """Find the metric that predicts better than each other one of its group on all of these scales."""
-    for metric in metrics if len(metrics) > 1 else ():
-        others = set(metrics) - {metric}
-        if all(others <= set(card["better_than"]) for card in same if card["metric"] == metric):
-            return metric
-    return ""
-
-
 def _list_exceptions(cards: Sequence[Row], rows: Sequence[Row]) -> Iterator[Row]:
     """Name the reducers that were rated otherwise than metrics suggest that predict there, and on which scales."""
     predicted = [card for card in cards if card["verdict"] == PREDICTS]
@@ -173,25 +167,8 @@ def list_exceptional(rows: Sequence[Row]) -> list[Row]:
     """List the excess of every reducer that is exceptional."""
     keys = ("scale", "level", "reducer")
     flagged = {tuple(row[key] for key in keys) for row in rows if row["note"] == "yes"}
-    return [
-        row
-        for row in rows
-        if row["quantity"] == "excess" and tuple(row[key] for key in keys) in flagged
-    ]
-
-
-def _tell_unflagged(by_metric: Mapping[str, Sequence[Row]], facts: Mapping[str, Any]) -> Row:
-    """Say which verdicts are others without the raters whom screening rules flag."""
-    ways: dict[tuple[str, str], list[str]] = {}
-    for metric, every in by_metric.items():
-        for way in dict.fromkeys(card["unflagged"] for card in every if card["unflagged"]):
-            own = [card for card in every if card["unflagged"] == way]
-            turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
-            key = OPPOSITE if turned else way, name_scales(own, every)
-            ways.setdefault(key, []).append(metric)
-    told = [{"kind": way, "what": what, "metrics": names} for (way, what), names in ways.items()]
-    sizes = {name: facts[name] for name in ("flagged", "n_raters")}
-    return {"kind": "unflagged", **sizes, "ways": told}
+    excesses = (row for row in rows if row["quantity"] == "excess")
+    return [row for row in excesses if tuple(row[key] for key in keys) in flagged]
 
 
 # Where correlations over all stimuli pooled, another question, disagree with the primary model.
@@ -199,6 +176,15 @@ def _tell_unflagged(by_metric: Mapping[str, Sequence[Row]], facts: Mapping[str, 
 
 def reconcile(panels: Iterable[Row], verdicts: Iterable[Row]) -> None:
     """Mark in the facts of the correlations where they disagree with the verdicts on the same ratings."""
+
+    def disagrees(one: Row, verdict: Row) -> bool:
+        if math.isnan(one["r"]["low"]):
+            return False
+        if one["covers"]:
+            return bool(verdict["verdict"] == PREDICTS)
+        higher = verdict["direction"] == "higher"
+        return bool(verdict["verdict"] == OPEN or higher != (one["r"]["value"] > 0))
+
     known = {
         tuple(one[key] for key in PLACE): one for one in verdicts if one["verdict"] != NOT_ESTIMABLE
     }
@@ -208,22 +194,10 @@ def reconcile(panels: Iterable[Row], verdicts: Iterable[Row]) -> None:
             for (scale, level, metric), one in known.items()
             if (scale, level) == (panel["scale"], panel["level"])
         }
-        panel["against"] = [
-            one
-            for one in panel["found"]
-            if one["metric"] in own and _disagrees(one, own[one["metric"]])
-        ]
+        found = (one for one in panel["found"] if one["metric"] in own)
+        panel["against"] = [one for one in found if disagrees(one, own[one["metric"]])]
         panel["stronger"] = [
             two for two in panel["differences"]
             if two["stronger"] and set(two["metrics"]) <= set(own)
             and not set(two["metrics"]) - {two["stronger"]} & set(own[two["stronger"]]["better_than"])
         ]  # fmt: skip
-
-
-def _disagrees(one: Row, verdict: Row) -> bool:
-    if math.isnan(one["r"]["low"]):
-        return False
-    if one["covers"]:
-        return bool(verdict["verdict"] == PREDICTS)
-    higher = verdict["direction"] == "higher"
-    return bool(verdict["verdict"] == OPEN or higher != (one["r"]["value"] > 0))

@@ -1,33 +1,33 @@
 """The folder of results: replaced as a whole, and only what is its own.
 
 A folder holds ``results.json``, pages, ``figures/*.svg`` and ``*.png``, ``tables/*.csv``. ``results.json`` lists its
-files: these a later run may replace, all others stay as they are.
+files: these a later run may replace, all others stay as they are. An interrupted run leaves the former results.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from feel321.analysis.figures.style import save_figure
-from feel321.analysis.page import inline_svg
+from feel321.analysis.page import inline_svg, render_template
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.doors import as_path
 from feel321.files import defuse, make_folder, move_files, temporary_folder
+from feel321.records import Result, to_json_value
+from feel321.types import PathLike
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-
     from markupsafe import Markup
     from pandas import DataFrame
 
     from feel321.analysis.report.section import Picture
-    from feel321.types import PathLike
 
 PAGE, DETAILS, RESULTS = "index.html", "details.html", "results.json"
 METHODS = "methods.md"
@@ -65,97 +65,61 @@ def check_target(target: Path) -> None:
     _refuse_foreign(target, (RESULTS, PAGE))
 
 
-class ResultsFolder:
-    """A folder of results while it is written: everything is put beside its place first, then moved there.
+def write_folder(  # noqa: PLR0913 - what a folder holds, by name
+    path: PathLike,
+    content: Mapping[str, Any],
+    *,
+    page: Callable[[Mapping[str, Markup]], str],
+    pictures: Sequence[Picture] = (),
+    tables: Mapping[str, DataFrame] = MappingProxyType({}),
+    details: str = "",
+    kind: str = "report",
+) -> Path:
+    """Write results, pages, figures and tables beside their place, then put all in that of the former files.
 
-    An interrupted run leaves the former results as they were.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> import pandas as pd
-    >>> rows = pd.DataFrame({"reducer": ["dft321"], "r": [0.5]})
-    >>> with tempfile.TemporaryDirectory() as place, ResultsFolder(f"{place}/report") as folder:
-    ...     content = {"answer": 0.5, "files": list_files([], ["rows"])}
-    ...     path = folder.write(content, page=lambda drawings: "<p>0.5</p>", tables={"rows": rows})
-    ...     sorted(file.name for file in path.rglob("*") if file.is_file())
-    ['dictionary.csv', 'index.html', 'results.json', 'rows.csv']
+    content: what ``results.json`` holds; its "files" are those of `list_files`. page: renders the first page from the
+    figures' SVG by name; details: the second page. tables: by name without suffix; unless one of them is `dictionary`,
+    it is made for results of this kind.
     """
-
-    def __init__(self, path: PathLike) -> None:
-        """Refuse a folder that holds other results."""
-        self.path = as_path(path, "folder")
-        self.pictures: list[Picture] = []
-        self._place: Path | None = None
-        self._closing = ExitStack()
-        check_target(self.path)
-
-    def __enter__(self) -> ResultsFolder:
-        """Begin."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """Remove what was not moved to its place."""
-        self._closing.close()
-
-    def draw(self, pictures: Iterable[Picture]) -> None:
-        """Draw and save figures, each as SVG and PNG under its name."""
-        for picture in pictures:
-            self.pictures.append(picture)
-            save_figure(picture.figure, self._stage("figures") / picture.name)
-
-    def write(
-        self,
-        content: Mapping[str, Any],
-        *,
-        page: Callable[[Mapping[str, Markup]], str],
-        tables: Mapping[str, DataFrame],
-        details: str = "",
-        kind: str = "report",
-    ) -> Path:
-        """Write results, tables and pages, and put all in the place of the former files; return the folder.
-
-        content: what ``results.json`` holds; its "files" are those of `list_files`. page: renders the first page from
-        the figures' SVG by name; details: the second page. tables: by name without suffix; unless one of them is
-        `dictionary`, it is made for results of this kind.
-        """
-        frames = {f"{kind}/{name}.csv": frame for name, frame in tables.items()}
-        if tables and DICTIONARY.removesuffix(".csv") not in tables:
-            frames[DICTIONARY] = make_dictionary(frames)
-        for name, frame in frames.items():
-            write_flags(frame).to_csv(
-                self._stage("tables") / name.rpartition("/")[2],
-                index=False,
-                float_format="%.10g",
-                lineterminator="\n",
-                encoding="utf-8",
-            )
-        stage = self._stage()
-        drawings = {
-            one.name: inline_svg(one.name, one.caption, stage / "figures" / f"{one.name}.svg")
-            for one in self.pictures
-        }
+    target = as_path(path, "folder")
+    check_target(target)
+    frames = {f"{kind}/{name}.csv": frame for name, frame in tables.items()}
+    if tables and DICTIONARY.removesuffix(".csv") not in tables:
+        frames[DICTIONARY] = make_dictionary(frames)
+    make_folder(target.parent)
+    with temporary_folder(target) as stage:
+        drawings = _stage(stage, pictures, frames)
         listed = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         for name, text in {PAGE: page(drawings), DETAILS: details, RESULTS: listed}.items():
             if text:
                 (stage / name).write_text(text, encoding="utf-8", newline="")
         wanted = tuple(content["files"])
-        for name in _refuse_foreign(self.path, wanted) - set(wanted):
-            (self.path / name).unlink(missing_ok=True)
+        for name in _refuse_foreign(target, wanted) - set(wanted):
+            (target / name).unlink(missing_ok=True)
         for name in wanted:
-            make_folder((self.path / name).parent)
+            make_folder((target / name).parent)
         # The list goes first: a run that is interrupted here leaves files that the next one knows for its own.
-        move_files({stage / name: self.path / name for name in wanted})
-        return self.path
+        move_files({stage / name: target / name for name in wanted})
+    return target
 
-    def _stage(self, part: str = "") -> Path:
-        """Find where files wait, beside their place so that moving them is quick; made when it is needed."""
-        if self._place is None:
-            make_folder(self.path.parent)
-            self._place = self._closing.enter_context(temporary_folder(self.path))
-        stage = self._place / part
-        make_folder(stage)
-        return stage
+
+def _stage(
+    stage: Path, pictures: Sequence[Picture], frames: Mapping[str, DataFrame]
+) -> dict[str, Markup]:
+    """Save figures and tables; return the figures' SVG by name."""
+    drawings = {}
+    for part in ("figures", "tables"):
+        make_folder(stage / part)
+    for one in pictures:
+        save_figure(one.figure, stage / "figures" / one.name)
+        drawing = stage / "figures" / f"{one.name}.svg"
+        drawings[one.name] = inline_svg(one.name, one.caption, drawing)
+    for name, frame in frames.items():
+        place = stage / "tables" / name.rpartition("/")[2]
+        write_flags(frame).to_csv(
+            place, index=False, float_format="%.10g", lineterminator="\n", encoding="utf-8"
+        )
+    return drawings
 
 
 def list_own(target: Path) -> list[str]:
@@ -187,3 +151,48 @@ def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:
                 f"{target / name}: exists and is not of a former report; move it away or choose another folder"
             )
     return former
+
+
+# Results that have one page: the trade-off, power.
+
+SCHEMA_VERSION = 1
+"""Version of what their ``results.json`` holds: raised when a field changes or goes."""
+
+
+class PageParts(NamedTuple):
+    """What a folder is made of: what results.json holds, besides files; figures; what the template shows."""
+
+    template: str
+    content: Mapping[str, object]
+    pictures: Sequence[Picture]
+    values: Mapping[str, Any]
+
+
+class PageResult(Result):
+    """A result that has a page."""
+
+    __slots__ = ()
+
+    def write(self, folder: PathLike) -> Path:
+        """Write page, numbers, tables and figures in place of those of a former result; return the page."""
+        tables = self.to_frames()
+        name, content, pictures, values = self._make_page(tables)
+        files = list_files([picture.name for picture in pictures], tables)
+        target = write_folder(
+            folder,
+            to_json_value({"schema_version": SCHEMA_VERSION, **content, "files": files}),
+            page=lambda drawings: render_template(
+                name, pictures=pictures, drawings=drawings, **values
+            ),
+            pictures=pictures,
+            tables=tables,
+            kind=type(self).__name__.lower(),
+        )
+        return target / PAGE
+
+    def to_frames(self) -> dict[str, DataFrame]:
+        """Return the numbers as tables, by name."""
+        raise NotImplementedError
+
+    def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
+        raise NotImplementedError

@@ -4,25 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis import space as spaces
-from feel321.analysis.choices import CHANCE, gather_votes, predict
-from feel321.analysis.contrasts.bradley_terry import bradley_terry
-from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original, discriminate_pairs
-from feel321.analysis.figures import kinds
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, PAIRED
-from feel321.analysis.words import ONE_WAY, format_count, format_level, format_name, join_words
+from feel321.analysis.words import format_count, format_name
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from pandas import DataFrame
 
     from feel321.analysis.arrays import Values
@@ -32,99 +25,76 @@ if TYPE_CHECKING:
 
 # Choices between two stimuli: which metric predicts them, and what they say of the reducers.
 
-CLUSTERED = "95 % t interval, clustered by participants and recordings"
-CHOICE_TABLES = ("predicted", "differences", "abilities", "sizes")
-ASKED = {
-    "triplet": "which of two stimuli feels more like the reference",
-    "preference": "which of two stimuli is preferred",
-}
-"""Scale -> what people chose, within a sentence."""
-
 
 def compute_choices(table: Table, choices: Choices) -> Found:
     """Evaluate triplets and preferences, per scale and level."""
-    rows: dict[str, list[Row]] = {f"choices_{name}": [] for name in CHOICE_TABLES}
-    told: list[Row] = []
-    notes: list[str] = []
-    pictures: list[Picture] = []
+    found = Found(key="choices", facts={"parts": []})
     for part in split_arms(table.rows[table.rows["scale"].isin(CHOSEN)]):
         own = replace(table, rows=part.rows.reset_index(drop=True))
-        found: list[str] = [*_count_catches(part, own, rows["choices_sizes"])]
+        first, notes = len(found.notes), []
+        roles = [_map_stimuli(own, name, ROLE) for name in (STIMULUS, OTHER)]
+        is_catch = (roles[0] == "anchor") != (roles[1] == "anchor")
+        if n := int(is_catch.sum()):
+            is_first = own.rows["rating"] == HIGHEST
+            wrong = int((roles[0].where(is_first, roles[1])[is_catch] == "anchor").sum())
+            found.add(
+                "choices_sizes", [{"anchors_chosen": wrong, "catch_trials": n, "n": n}], **part.keys
+            )
+            notes.append(f"an anchor was chosen in {wrong} of {n} catch trials.")
+        # Catch trials, which are won nearly always, have no part in abilities.
+        votes = own.rows[(roles[0] != "anchor") & (roles[1] != "anchor")]
         rng = choices.make_rng("choices", *part.place)
-        scale = partial(_scale, draws=choices.draws, rng=rng)
-        for step in (partial(_predict, told=told, pictures=pictures), scale):
+        for step, given in ((_predict, own), (_scale, replace(own, rows=votes))):
             try:
-                found += step(part, own, rows)
+                notes += step(found, part, given, draws=choices.draws, rng=rng)
             except ValueError as error:
-                found.append(f"{str(error).removesuffix('.')}.")
-        notes += [f"{part.lead}: {note}" for note in found]
-    clauses = [_claim(one) for one in told]
-    facts = {"parts": told} if any(rows.values()) else {}
-    return Found(rows, facts, pictures, notes, clauses=clauses)
+                notes.append(f"{str(error).removesuffix('.')}.")
+        found.notes[first:] = [f"{part.lead}: {note}" for note in notes]
+    for one in found.facts["parts"]:
+        found.claim(one=one)
+    return found
 
 
-def _find_roles(table: Table) -> tuple[Any, Any]:
-    """Find the roles of both stimuli of each choice."""
-    roles: Any = {} if table.stimuli is None else table.stimuli[ROLE]
-    return table.rows[STIMULUS].map(roles).to_numpy(), table.rows[OTHER].map(roles).to_numpy()
+def _map_stimuli(table: Table, column: str, attribute: str) -> Any:  # noqa: ANN401 - a column of the table
+    """Look up an attribute of the stimuli that a column names."""
+    known: Any = {} if table.stimuli is None else table.stimuli[attribute]
+    return table.rows[column].map(known)
 
 
-def _count_catches(part: Part, table: Table, rows: list[Row]) -> Iterator[str]:
-    """Count how often an anchor was chosen, which nobody should."""
-    one, other = _find_roles(table)
-    is_catch = (one == "anchor") != (other == "anchor")
-    if n := int(is_catch.sum()):
-        first = (table.rows["rating"] == HIGHEST).to_numpy()
-        wrong = int((np.where(first, one, other)[is_catch] == "anchor").sum())
-        rows += parts.count_rows({"anchors_chosen": wrong, "catch_trials": n}, n=n, **part.keys)
-        yield f"an anchor was chosen in {wrong} of {n} catch trials."
-
-
-def _predict(
-    part: Part, table: Table, rows: dict[str, list[Row]], *, told: list[Row], pictures: list[Picture]
-) -> Sequence[str]:  # fmt: skip
+def _predict(found: Found, part: Part, table: Table, **_: object) -> Sequence[str]:
     """Count how many choices each metric predicts."""
+    from feel321.analysis.choices import gather_votes, predict
+
     metrics = list(dict.fromkeys([*table.metrics, *table.rivals]))
-    found = predict(gather_votes(table, metrics=metrics))
-    keys: Row = {**part.keys, "n": found.n_votes, "interval": CLUSTERED}
-    shares = {"share": "share low high p_holm", "n_choices": "n"}
-    records = [row | {"n": found.n_votes} for row in found.to_frame().to_dict("records")]
-    rows["choices_predicted"] += list_rows(records, shares, ["metric"], **keys)
-    others: Row = {"low": found.others_low, "high": found.others_high}
-    ceiling = {"majority_of_others": (found.others, others), "majority_of_all": (found.majority, {})}  # fmt: skip
-    for name, (value, ends) in ceiling.items():
-        if np.isfinite(value):
-            rows["choices_predicted"].append(make_row("share", value, metric=name, **ends, **keys))
-    pair = {"metric": "first", "second_metric": "second"}
-    quantities = {"difference": "difference low high p_holm"}
-    rows["choices_differences"] += list_rows(found.differences, quantities, pair, **keys)
-    sizes = ("n_participants", "n_recordings", "n_pairs")
-    counts = [{name: getattr(found, name) for name in sizes}]
-    rows["choices_sizes"] += list_rows(counts, sizes, n=found.n_votes, **part.keys)
-    told.append(describe_prediction(part, table, found))
-    caption = (
-        f"{part.subject}: share of {found.n_votes} choices that each metric predicts, with 95 % intervals for other "
-        f"people and other recordings ({found.n_participants} participants, {found.n_recordings} recordings). Line: "
-        "chance. Band: the majority of the other participants, and of all."
-    )
+    one = predict(gather_votes(table, metrics=metrics))
+    keys: Row = {**part.keys, "n": one.n_votes}
+    shares = one.to_frame()
+    found.add("choices_predicted", shares.assign(n_choices=one.n_votes), **keys)
+    ceilings = [
+        {"metric": "majority_of_others", "share": one.others, "low": one.others_low, "high": one.others_high},
+        {"metric": "majority_of_all", "share": one.majority, "low": np.nan, "high": np.nan},
+    ]  # fmt: skip
+    known = [row | {"p_holm": np.nan} for row in ceilings if np.isfinite(row["share"])]
+    found.add("choices_predicted", known, **keys)
+    found.add("choices_differences", one.differences, **keys)
+    sizes = {name: one[name] for name in ("n_participants", "n_recordings", "n_pairs")}
+    found.add("choices_sizes", [sizes | {"n": one.n_votes}], **part.keys)
+    found.facts["parts"].append(describe_prediction(part, table, one))
+    frame = shares.sort_values("share", ascending=False, kind="stable")
+    drawn = 100 * frame[["share", "low", "high"]]
+    drawn["name"] = frame["metric"].map(format_name)
+    places = [100 * row["share"] for row in known]
+    band = (min(places), max(places)) if places else (np.nan, np.nan)
+    says = {"subject": part.subject, "n": one.n_votes, **sizes}
     slug = parts.make_slug("choices", *part.place)
-    pictures.append(Picture(slug, caption, partial(_draw_shares, found)))
-    return tuple(found.notes)
-
-
-def _draw_shares(found: Statistic) -> Figure:
-    table = found.to_frame().sort_values("share", ascending=False, kind="stable")
-    frame = 100 * table[["share", "low", "high"]]
-    frame["name"] = table["metric"].map(format_name)
-    known = [100 * share for share in (found.others, found.majority) if np.isfinite(share)]
-    band = (min(known), max(known)) if known else (np.nan, np.nan)
-    label, columns = "Choices predicted (%)", "share low high"
-    lines = {"-": 50.0}
-    return kinds.draw_estimates(frame, label, columns=columns, lines=lines, band=band)
+    found.draw("shares", slug, drawn, says=says, lines={"-": 50.0}, band=band)
+    return tuple(one.notes)
 
 
 def describe_prediction(part: Part, table: Table, found: Statistic) -> Row:
     """Decide which metrics may be said to predict the choices, and whether any predicts more than another."""
+    from feel321.analysis.choices import CHANCE
+
     shares = found.shares
     sizes = {"participant": found.n_participants, "recording": found.n_recordings}
     listed = sorted(found.to_frame().to_dict("records"), key=lambda row: -row["share"])
@@ -152,10 +122,12 @@ def describe_prediction(part: Part, table: Table, found: Statistic) -> Row:
 
 def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[str]:
     """Name the reducers without which the leading metric is no longer shown to predict."""
+    from feel321.analysis.choices import CHANCE, gather_votes, predict
+
     rows, stimuli = table.rows, table.stimuli
     if stimuli is None:
         return
-    both = [rows[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER)]
+    both = [_map_stimuli(table, name, "reducer") for name in (STIMULUS, OTHER)]
     tested = sorted(stimuli.loc[stimuli[ROLE] == TEST, "reducer"].unique())
     for name in (name for name in tested if any((ids == name).any() for ids in both)):
         rest = rows[(both[0] != name) & (both[1] != name)]
@@ -168,105 +140,70 @@ def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[s
             yield name
 
 
-def _claim(told: Row) -> str:
-    """Say for the headline which metrics predict these choices."""
-    asked, where = ASKED[told["scale"]], format_level(told["level"])
-    if not told["estimable"]:
-        return f"whether a metric predicts {asked} cannot be estimated with {join_words(told['units'])}"
-    if not told["right"]:
-        return f"no metric is shown to predict {asked}{where}"
-    names = [
-        f"{format_name(row['metric'])} ({100 * row['share']:.0f} % of the choices)"
-        for row in told["right"]
-    ]
-    hint = f" (with {join_words(told['few'])}, a hint rather than a result)" if told["few"] else ""
-    return f"{join_words(names)} predict{'s' * (len(names) == 1)} {asked}{where}{hint}"
-
-
 def _scale(
-    part: Part, table: Table, rows: dict[str, list[Row]], *, draws: int, rng: np.random.Generator
+    found: Found, part: Part, table: Table, *, draws: int, rng: np.random.Generator
 ) -> Sequence[str]:
-    """Scale the reducers by Bradley-Terry; catch trials, which are won nearly always, have no part in it."""
-    one, other = _find_roles(table)
-    votes, stimuli = table.rows[(one != "anchor") & (other != "anchor")], table.stimuli
+    """Scale the reducers by Bradley-Terry; shrunken and without intervals where one always won or lost."""
+    from feel321.analysis.contrasts.bradley_terry import bradley_terry
+
+    votes = table.rows
     if len(votes["reference_reducer"].unique()) > 1:
         votes = votes[votes["matched"]]  # likeness to one reference is no likeness to another
-    if stimuli is None or votes.empty:
+    if table.stimuli is None or votes.empty:
         return ()
-    first, second = (votes[name].map(stimuli["reducer"]) for name in (STIMULUS, OTHER))
+    first, second = (votes[name].map(table.stimuli["reducer"]) for name in (STIMULUS, OTHER))
     winner = first.where(votes["rating"] == HIGHEST, second)
     pairs = votes[["participant"]].assign(first=first, second=second, winner=winner)
-    fitted = _fit_abilities(pairs, draws, rng)
-    records = []
-    for row in fitted.to_frame().to_dict("records"):
-        met = (first == row["item"]) | (second == row["item"])
-        if row["item"] != "order":
-            share = float((winner[met] == row["item"]).mean())
-            records.append(row | {"share": share, "n": int(met.sum())})
-    quantities = {"ability": "estimate low high", "share_chosen": "share", "n_choices": "n"}
-    keys = {"reducer": "item", "n": "n"}
-    own = {"interval": ONE_WAY, **part.keys}
-    rows["choices_abilities"] += list_rows(records, quantities, keys, **own)
-    return tuple(fitted.notes)
-
-
-def _fit_abilities(pairs: DataFrame, draws: int, rng: np.random.Generator) -> Statistic:
-    """Fit abilities with intervals over participants; shrunken ones without, where a reducer always won or lost."""
     try:
         alone = len(pairs["participant"].unique()) == 1
-        return bradley_terry(pairs, by_rater=not alone, order_effect=True, draws=draws, rng=rng)
+        fit = bradley_terry(pairs, by_rater=not alone, order_effect=True, draws=draws, rng=rng)
     except ValueError as error:
         if "separation" not in str(error):
             raise
-    shrunken = bradley_terry(pairs, prior=0.5, order_effect=True)
-    return shrunken.replace(fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
+        shrunken = bradley_terry(pairs, prior=0.5, order_effect=True)
+        fit = shrunken.replace(fixed=shrunken.fixed.assign(low=np.nan, high=np.nan))
+    for row in fit.to_frame().to_dict("records"):
+        met = (first == row["item"]) | (second == row["item"])
+        if row["item"] != "order":
+            share = float((winner[met] == row["item"]).mean())
+            record = row | {"share": share, "n": int(met.sum())}
+            found.add("choices_abilities", [record], **part.keys)
+    return tuple(fit.notes)
 
 
 # ABX trials: how well what a reducer made is distinguished from its reference.
-
-WILSON = "95 % interval that follows from Wilson's"
 
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
     from pandas import DataFrame
 
+    from feel321.analysis.contrasts.told_apart import discriminate_pairs
+
+    found = Found(key="discrimination")
     rows = table.rows[(table.rows["scale"] == ANSWERED) & (table.rows["role"] != "reference")]
     right = rows["rating"] == HIGHEST
     trials = rows.assign(first=rows["reducer"], second="reference", correct=right)
-    found: dict[Any, Any] = {
-        names: discriminate_pairs(part)[None]
-        for names, part in trials.groupby(["level", "reducer"], observed=True)
-    }
-    if not found:
-        return Found()
-    notes, records = [], []
-    adjusted = adjust_holm([one.p for one in found.values()])
-    for ((level, reducer), one), p in zip(found.items(), adjusted, strict=True):
-        records.append(dict(one) | {"level": level, "reducer": reducer, "p_holm": p})
-        notes += [f"ABX, {reducer}, {level}: {note}" for note in one.notes]
-    quantities = {
-        "share_correct": "share wilson_low wilson_high p_holm",
-        "d_prime": "d_independent d_independent_low d_independent_high",
-        "n_correct": "n_correct", "n_trials": "n_trials",
-    }  # fmt: skip
-    keys = {"level": "level", "reducer": "reducer", "n": "n_trials"}
-    listed = list_rows(records, quantities, keys, interval=WILSON)
-    apart, n = sum(p < parts.SIGNIFICANCE for p in adjusted), len(found)
-    listed += parts.count_rows({"n_distinguished": apart, "n_compared": n}, n=n)
-    caption = (
-        "d' in ABX trials of each reducer against its reference, with 95 % intervals that follow from Wilson's; 0 is "
-        "guessing. In brackets: correct answers of trials."
-    )
+    records: list[Row] = []
+    for (level, reducer), part in trials.groupby(["level", "reducer"], observed=True):
+        one = discriminate_pairs(part)[None]
+        records.append({**one, "level": level, "reducer": reducer})
+        found.notes += [f"ABX, {reducer}, {level}: {note}" for note in one.notes]
+    if not records:
+        return found
+    for record, p in zip(records, adjust_holm([one["p"] for one in records]), strict=True):
+        record["p_holm"] = p
+    found.add("discrimination", records)
+    apart, n = sum(one["p_holm"] < parts.SIGNIFICANCE for one in records), len(records)
+    found.facts = {"apart": apart, "n": n}
+    for name, count in {"n_distinguished": apart, "n_compared": n}.items():
+        found.rows["discrimination"].append(make_row(name, count, n=n))
+    found.claim(**found.facts)
     frame = DataFrame(records).rename(columns={"d_independent": "d"})
     tried = frame["n_correct"].astype(str) + "/" + frame["n_trials"].astype(str)
     frame["name"] = frame["reducer"] + " (" + frame["level"].map(format_name) + ") (" + tried + ")"
-    columns = "d d_independent_low d_independent_high"
-    draw = partial(kinds.draw_estimates, frame, "d′", columns=columns)
-    picture = Picture("discrimination", caption, draw)
-    clause = f"{apart} of {n} reducers and anchors were distinguished from their reference"
-    facts = {"apart": apart, "n": n}
-    return Found({"discrimination": listed}, facts, [picture], notes, clauses=[clause])
+    found.draw("sensitivity", "discrimination", frame, says={})
+    return found
 
 
 # One axis against three: dissimilarities from the original beside those of identical pairs.
@@ -274,37 +211,24 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
 
 def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Compare dissimilarities from the original with those of identical pairs."""
+    from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
+
+    found = Found(key="told_apart", facts={"parts": []})
     rows = table.rows[table.rows["scale"] == PAIRED]
-    notes: list[str] = []
-    listed: list[Row] = []
-    told: list[Row] = []
-    clauses: list[str] = []
     several = len(rows["level"].unique()) > 1
-    quantities = {
-        "difference": "difference low high p_holm", "area": "area area_low area_high",
-        "d_prime": "d_prime d_prime_low d_prime_high",
-    }  # fmt: skip
-    names = ("t", "df", "n_participants", "n_judgements", "n_identical")
-    quantities |= dict(zip(names, names, strict=True))
     for level, part in rows.groupby("level", observed=True):
-        try:
-            own = compare_with_original(part)
-        except ValueError as error:
-            notes.append(f"{PAIRED}, {level}: one axis is not compared with three. {error}")
+        lead = f"{PAIRED}, {level}: one axis is not compared with three."
+        own = found.attempt(lead, compare_with_original, part)
+        if own is None:
             continue
-        keys = {"reducer": "reducer", "n": "n_judgements"}
-        interval = "95 % t interval over participants"
-        listed += list_rows(own, quantities, keys, level=level, interval=interval)
+        found.add("told_apart", own, level=level)
         single = own[own["reducer"] != EVERY]
         clear = (single["p_holm"] < parts.SIGNIFICANCE) & (single["difference"] > 0)
         apart, rest = (list(single.loc[which, "reducer"]) for which in (clear, ~clear))
-        where, n = str(level) * several, len(single)
-        told.append({"level": where, "apart": apart, "n": n, "rest": rest})
-        clauses.append(
-            f"one axis was distinguished from three{format_level(where)} for {len(apart)} of {n} reducers"
-        )
-    facts = {"parts": told} if told else {}
-    return Found({"told_apart": listed}, facts, notes=notes, clauses=clauses)
+        told = {"level": str(level) * several, "apart": apart, "n": len(single), "rest": rest}
+        found.facts["parts"].append(told)
+        found.claim(one=told)
+    return found
 
 
 # Dissimilarities: the perceptual map, and what its axes are associated with.
@@ -315,105 +239,86 @@ DRAWS = 200
 
 def compute_space(table: Table, choices: Choices) -> Found:
     """Map the dissimilarities of every level."""
+    from feel321.analysis import space as spaces
+
+    found = Found(key="space", facts={"parts": []})
     dissimilar = table.rows[table.rows["scale"] == PAIRED]
-    notes: list[str] = []
-    pictures: list[Picture] = []
-    told: list[Row] = []
-    tables = ("space", "space_stress", "space_metrics", "space_attributes")
-    rows: dict[str, list[Row]] = {name: [] for name in tables}
-    for level in sorted(dissimilar["level"].unique()):
+
+    def fit(level: str) -> tuple[Any, Statistic, Sequence[float]]:
         rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
-        try:
-            own = dissimilar[dissimilar["level"] == level]
-            names, matrices = spaces.gather_dissimilarities(own)
-            ellipses = spaces.bootstrap_space(matrices, draws=draws, rng=rng)
-            rng = choices.make_rng("space", level, "stress")
-            stress = spaces.stress_by_dimension(matrices, rng=rng)
-        except ValueError as error:
-            notes.append(f"{PAIRED}, {level}: no map. {error}")
+        names, matrices = spaces.gather_dissimilarities(dissimilar[dissimilar["level"] == level])
+        ellipses = spaces.bootstrap_space(matrices, draws=draws, rng=rng)
+        rng = choices.make_rng("space", level, "stress")
+        return names, ellipses, spaces.stress_by_dimension(matrices, rng=rng)
+
+    for level in sorted(dissimilar["level"].unique()):
+        mapped = found.attempt(f"{PAIRED}, {level}: no map.", fit, level)
+        if mapped is None:
             continue
-        caption = (
-            f"Map of the dissimilarities at level {format_name(level)}, with 95 % bootstrap ellipses over "
-            "participants; only distances have a meaning."
-        )
-        draw = partial(kinds.draw_space, ellipses, names)
-        pictures.append(Picture(parts.make_slug("space", level), caption, draw))
+        names, ellipses, stress = mapped
+        found.draw("map", parts.make_slug("space", level), ellipses, names, says={"level": level})
         keys: Row = {"level": level, "n": len(names)}
-        rows["space"] += _list_places(names, ellipses.space, ellipses=ellipses, keys=keys)
-        for number, value in enumerate(stress, start=1):
-            rows["space_stress"].append(make_row("stress", value, dimensions=number, **keys))
-        try:
-            rated = table.rows[table.rows["level"] == level].drop_duplicates("stimulus_id")
-            means = rated.groupby("reducer", observed=True)[list(table.metrics)].mean()
-            attributes = means.reindex(list(names))
-            rng = choices.make_rng("space", level, "procrustes")
-            met = _relate(ellipses, attributes, rows, keys=keys, draws=choices.draws, rng=rng)
-            told.append({"level": level, **met})
-        except ValueError as error:
-            notes.append(f"{PAIRED}, {level}: the map is compared with nothing else. {error}")
-        rows["space_attributes"] += _relate_axes(own, table, level, choices=choices, notes=notes)
-    clauses = [
-        f"{'the metrics align' if one['shown'] else 'it is unclear whether the metrics align'} with the perceptual map "
-        f"(level {format_name(one['level'])})"
-        for one in told
-    ]
-    facts = {"parts": told} if any(rows.values()) else {}
-    return Found(rows, facts, pictures, notes, clauses=clauses)
-
-
-def _list_places(
-    names: Sequence[str], space: Statistic, *, ellipses: Statistic | None, keys: Row
-) -> list[Row]:
-    """List the places on a map, with their ellipses where these were drawn."""
-    records = [
-        {"reducer": name, "x": x, "y": y}
-        for name, (x, y) in zip(names, space.positions, strict=True)
-    ]
-    quantities = ["x", "y"]
-    if ellipses:
-        quantities += ["half_axis_1", "half_axis_2", "angle"]
-        shapes = zip(records, ellipses.half_axes, ellipses.angle, strict=True)
-        for record, (one, two), angle in shapes:
-            record |= {"half_axis_1": one, "half_axis_2": two, "angle": angle}
-    return list_rows(records, quantities, ["reducer"], **keys)
+        found.add("space", _list_places(names, ellipses.space, ellipses), **keys)
+        sizes = ({"dimensions": n, "stress": value} for n, value in enumerate(stress, start=1))
+        found.add("space_stress", sizes, **keys)
+        lead = f"{PAIRED}, {level}: the map is compared with nothing else."
+        one = found.attempt(lead, _relate, table, ellipses, names, level=level, choices=choices)
+        if one is not None:
+            note = f"{one.permutations} pairings"
+            found.add("space_metrics", [one], note=note, **keys)
+            shown = one.p < parts.SIGNIFICANCE
+            told = {"level": level, "r": one.correlation, "p": one.p, "shown": shown}
+            found.facts["parts"].append(told)
+            found.claim(one=told)
+        lead = f"{PAIRED}, {level}: axes are not compared with attributes."
+        own = dissimilar[dissimilar["level"] == level]
+        rows = found.attempt(lead, _regress, found, table, own, level=level, choices=choices)
+        found.add("space_attributes", rows or [], level=level)
+    return found
 
 
 def _relate(
-    ellipses: Statistic, attributes: DataFrame, rows: dict[str, list[Row]], *, keys: Row, draws: int,
-    rng: np.random.Generator,
-) -> Row:  # fmt: skip
+    table: Table, ellipses: Statistic, names: Sequence[str], *, level: str, choices: Choices
+) -> Statistic:
     """Compare the map with the metrics of its stimuli."""
+    from feel321.analysis.space import align_spaces
+
+    rated = table.rows[table.rows["level"] == level].drop_duplicates("stimulus_id")
+    means = rated.groupby("reducer", observed=True)[list(table.metrics)].mean()
+    attributes = means.reindex(list(names))
     known = attributes.notna().all(axis=1).to_numpy()
     metrics = attributes[known]
     metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
-    positions = ellipses.space.positions[known]
-    aligned = spaces.align_spaces(positions, scaled, permutations=draws, rng=rng)
-    note = f"{aligned.permutations} pairings"
-    row = make_row("procrustes", aligned.correlation, p=aligned.p, note=note, **keys)
-    rows["space_metrics"].append(row)
-    return {"r": aligned.correlation, "p": aligned.p, "shown": aligned.p < parts.SIGNIFICANCE}
+    rng = choices.make_rng("space", level, "procrustes")
+    places = ellipses.space.positions[known]
+    return align_spaces(places, scaled, permutations=choices.draws, rng=rng)
 
 
-ATTRIBUTE = {
-    "r2": "r2 - - p_holm", "axis_1": "axis_1", "axis_2": "axis_2", "p_unadjusted": "p", "p_least": "p_least",
-}  # fmt: skip
-
-
-def _relate_axes(
-    rows: DataFrame, table: Table, level: str, *, choices: Choices, notes: list[str]
+def _regress(
+    found: Found, table: Table, rows: DataFrame, *, level: str, choices: Choices
 ) -> list[Row]:
     """Regress the attributes of stimuli on the axes of the recordings' maps."""
-    lead, rng = f"{PAIRED}, {level}", choices.make_rng("space", level, "attributes")
-    try:
-        places, known = spaces.gather_points(rows, table.stimuli, rng=rng)
-        found = spaces.regress_points(places, known, draws=min(choices.draws, 1000), rng=rng)
-    except ValueError as error:
-        notes.append(f"{lead}: axes are not compared with attributes. {error}")
-        return []
-    _adjust(found, table.metrics)
-    notes += [f"{lead}: {note}" for note in _note_points(places, found)]
-    return list_rows(found, ATTRIBUTE, ["property", "n"], level=level)
+    from feel321.analysis.space import gather_points, regress_points
+
+    rng, draws = choices.make_rng("space", level, "attributes"), min(choices.draws, 1000)
+    places, known = gather_points(rows, table.stimuli, rng=rng)
+    attributes: list[Row] = regress_points(places, known, draws=draws, rng=rng)
+    _adjust(attributes, table.metrics)
+    found.notes += [f"{PAIRED}, {level}: {note}" for note in _note_points(places, attributes)]
+    return attributes
+
+
+def _list_places(
+    names: Sequence[str], space: Statistic, ellipses: Statistic | None
+) -> Iterator[Row]:
+    """List the places on a map, with their ellipses where these were drawn."""
+    for number, (name, (x, y)) in enumerate(zip(names, space.positions, strict=True)):
+        row = {"reducer": name, "x": x, "y": y}
+        if ellipses:
+            row["half_axis_1"], row["half_axis_2"] = ellipses.half_axes[number]
+            row["angle"] = ellipses.angle[number]
+        yield row
 
 
 def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
@@ -429,19 +334,13 @@ def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
 
 def _note_points(places: Values, rows: Sequence[Row]) -> Iterator[str]:
     """Say on how little a regression of axes on attributes rests."""
+    from feel321.analysis.space import ENOUGH
+
     recordings, n = places.shape[:2]
     if mute := [row["property"] for row in rows if row["p_least"] >= parts.SIGNIFICANCE]:
         yield f"permutations of {n} stimuli cannot show an association of the axes with {', '.join(mute)}."
-    if recordings * n < spaces.ENOUGH * len(rows):
+    if recordings * n < ENOUGH * len(rows):
         yield (
             f"{len(rows)} attributes are compared with {recordings * n} points ({n} stimuli in {recordings} "
-            f"recordings); {spaces.ENOUGH} for each are recommended: R² is descriptive only."
+            f"recordings); {ENOUGH} for each are recommended: R² is descriptive only."
         )
-
-
-SECTIONS = (
-    Section("choices", "Choices between two stimuli", "differ", compute_choices),
-    Section("discrimination", "Telling stimuli apart (ABX)", "apart", compute_discrimination),
-    Section("told_apart", "One axis against three", "apart", compute_told_apart),
-    Section("space", "The space of what was felt", "apart", compute_space),
-)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from feel321.analysis import replication as paper_claims
 from feel321.analysis.replication import (
@@ -15,7 +15,7 @@ from feel321.analysis.replication import (
     tabulate_metric,
 )
 from feel321.analysis.report.answer import list_exceptional
-from feel321.analysis.report.section import Found, Row, Section, list_rows, make_row
+from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.words import capitalise, format_interval, format_number
 
 if TYPE_CHECKING:
@@ -25,35 +25,35 @@ if TYPE_CHECKING:
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
-KEY, TITLE = "paper", "The paper's questions"
 WAYS = {"positive": "higher", "negative": "lower"}
 
 
-def make_section(paper: Paper, others: dict[str, Found]) -> Section:
-    """Make the section of a paper; others: what the sections that follow found."""
-
-    def compute(table: Table, choices: Choices) -> Found:
-        answers = list(paper_claims.answer_claims(table, paper, choices))
-        odd = others["primary"].rows.get("exceptions", []) if "primary" in others else []
-        told = [
+def compute(table: Table, choices: Choices, *, paper: Paper, others: Mapping[str, Found]) -> Found:
+    """Answer the claims of a paper; others: what the sections that follow found."""
+    found, answers = Found(key="paper"), list(paper_claims.answer_claims(table, paper, choices))
+    odd = others["primary"].rows["exceptions"] if "primary" in others else []
+    found.facts = {
+        "citation": paper.citation, "seen": paper.seen,
+        "answers": [
             {"name": one.claim.name, "claim": one.claim.claim, "source": one.claim.source, "verdict": one.verdict,
              "sentence": capitalise(one.sentence)}
             for one in answers
-        ]  # fmt: skip
-        facts: dict[str, Any] = {
-            "citation": paper.citation, "seen": paper.seen, "answers": told,
-            "surprises": list(_list_surprises(paper, odd)) or list(_list_excesses(answers)),
-            "ours": sum(one.claim.source == "ours" for one in answers),
-            "counts": {
-                verdict: [one.claim.name for one in answers if one.verdict == verdict]
-                for verdict in (DIFFERS, AGREES, paper_claims.OPEN, NOT_ESTIMABLE)
-            },
-        }  # fmt: skip
-        rows = {"paper_claims": [row for one in answers for row in _list_answer(one)]}
-        rows["paper_metrics"] = list(_list_metrics(tabulate_metrics(table, paper)))
-        return Found(rows, facts)
-
-    return Section(KEY, TITLE, KEY, compute)
+        ],
+        "surprises": list(_list_surprises(paper, odd)) or list(_list_excesses(answers)),
+        "ours": sum(one.claim.source == "ours" for one in answers),
+        "counts": {
+            verdict: [one.claim.name for one in answers if one.verdict == verdict]
+            for verdict in (DIFFERS, AGREES, paper_claims.OPEN, NOT_ESTIMABLE)
+        },
+    }  # fmt: skip
+    for one in answers:
+        found.rows["paper_claims"] += _list_answer(one)
+    for row in tabulate_metrics(table, paper).to_dict("records"):
+        known = {name: value for name, value in row.items() if value == value}  # noqa: PLR0124 - is a number
+        if "paper" in known:
+            known["told"] = f"{row['shown']} ({row['table']}, {row['source']})"
+        found.add("paper_metrics", [known], n=1)
+    return found
 
 
 def _list_answer(one: PaperAnswer) -> Iterator[Row]:
@@ -108,7 +108,6 @@ def _list_excesses(answers: Sequence[PaperAnswer]) -> Iterator[Row]:
 # The paper's table: metrics of every recording and transform, with the paper's numbers and other mountings beside.
 
 MATCH_METRICS = ("spectral_match", "temporal_match")
-ROW_KEYS = ["recording", "reducer", "metric"]
 
 
 def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
@@ -126,18 +125,6 @@ def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
     found = pd.concat(long, ignore_index=True).dropna(subset="value")
     for beside in (paper.published, paper.mountings):
         if beside is not None:
-            found = found.merge(beside, how="left", on=ROW_KEYS)
+            found = found.merge(beside, how="left", on=["recording", "reducer", "metric"])
     later = ~found["recording"].isin(paper.published["recording"])  # first what the paper shows
     return found.assign(later=later).sort_values(["later", "recording", "metric"], kind="stable")
-
-
-def _list_metrics(found: DataFrame) -> Iterator[Row]:
-    for row in found.to_dict("records"):
-        own: Row = {"n": 1, **{key: row[key] for key in ROW_KEYS}}
-        yield make_row("match", row["value"], **own)
-        if math.isfinite(row.get("paper", math.nan)):
-            note = f"{row['shown']} ({row['table']}, {row['source']})"
-            yield make_row("paper", row["paper"], note=note, **own)
-        names = ("mounting_mean", "q05", "q50", "q95")
-        known = [name for name in names if math.isfinite(row.get(name, math.nan))]
-        yield from list_rows([row], known, **own)

@@ -5,38 +5,37 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.association import rivals
-from feel321.analysis.association.correlate import correlate
-from feel321.analysis.figures import kinds
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary import sensitivity
 from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
+from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.table.items import Part, format_recordings, split_tests
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import AMPLITUDE, STAND_INS
-from feel321.analysis.words import SATTERTHWAITE, TWO_WAY, format_count, format_name
+from feel321.analysis.words import INTERVALS, format_count, format_name
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.analysis.primary.model import Primary
     from feel321.analysis.primary.sensitivity import Influence
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.metrics import Step
-    from feel321.records import Statistic
     from feel321.types import MetricInfo
 
 HIGHER, LOWER = "higher", "lower"
+
+BLANK: Row = {
+    "verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False, "hinges_on": [],
+    "better_than": [], "few": [], "beyond_level": "",
+}  # fmt: skip
+"""The verdict on a metric without a slope."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,89 +55,121 @@ class Slope:
         return str(self.row["metric"])
 
     @property
-    def keys(self) -> Row:
-        """What its rows say of it."""
-        keys = {"metric": self.metric, "interval": SATTERTHWAITE, "n": self.model.n_rows}
-        return {**self.part.keys, **keys}
+    def units(self) -> dict[str, int]:
+        """How many participants, recordings (or the sources of them) and reducers it rests on."""
+        scene = SOURCE if self.model.n_sources < self.model.n_recordings else SCENE
+        reducers = {REDUCER: self.model.n_reducers} if self.model.n_reducers else {}
+        return {"participant": self.model.n_participants, scene: self.model.n_sources} | reducers
 
     @property
     def hinges(self) -> list[Row]:
         """Units without which a metric that predicts does not, or not in this direction."""
-        turns = self.influence.find_turns(self.metric)
         claimed = conclude(self.row["p_holm"]) == PREDICTS
+        turns = self.influence.find_turns(self.metric)
         return list(turns.to_dict("records")) if claimed else []
 
-    def scale(
-        self, row: Mapping[Any, Any], name: str = "tenth", *, size: float = 0.1
-    ) -> dict[str, float]:
-        """Take an estimate with its ends, from per size to per step."""
-        ends = {"value": name, "low": f"{name}_low", "high": f"{name}_high"}
-        return {key: float(row[end]) * self.step.size / size for key, end in ends.items()}
+    def scale(self, row: Mapping[Any, Any]) -> dict[str, float]:
+        """Take an estimate per 0.1, with its ends, to one per step."""
+        names = {"value": "tenth", "low": "tenth_low", "high": "tenth_high"}
+        return {end: float(row[name]) * self.step.size / 0.1 for end, name in names.items()}
+
+    def conclude(self) -> Row:
+        """Conclude about it, as data: a program reads it, the templates put it into words."""
+        verdict = conclude(self.row["p_holm"])
+        expected = LOWER if self.info is not None and self.info.higher == "worse" else HIGHER
+        direction = ""
+        if verdict == PREDICTS:
+            direction = HIGHER if self.row["estimate"] > 0 else LOWER
+        hinges = [f"{row['kind']} {row['unit']}" for row in self.hinges]
+        least = FEWEST if verdict == NOT_ESTIMABLE else FEW
+        steady = verdict == PREDICTS and direction == expected and not hinges
+        pairs = self.model.differences.to_dict("records") if steady else []
+        better = [
+            str(row["second"] if row["first"] == self.metric else row["first"])
+            for row in pairs
+            if self.metric == find_better(row)
+        ]
+        level = sensitivity.judge_level(
+            self.model.level, self.row["p_holm"], self.row["plain_p_holm"]
+        )
+        return {
+            **self.part.keys, "metric": self.metric, "subject": self.part.subject, "ratings": self.part.ratings,
+            "verdict": verdict, "direction": direction, "higher": "better" if expected == HIGHER else "worse",
+            "opposite": verdict == PREDICTS and direction != expected, "hinges_on": hinges,
+            "better_than": better,
+            "few": [format_count(size, name) for name, size in self.units.items() if size < least],
+            "beyond_level": level,
+        }  # fmt: skip
+
+
+def find_better(row: Mapping[Any, Any]) -> str:
+    """Find which of two metrics has the stronger standardised slope, each in the direction that it declares."""
+    low, high = row["standardised_low"], row["standardised_high"]
+    if math.isnan(low) or low <= 0 <= high:
+        return ""
+    return str(row["first"] if low > 0 else row["second"])
 
 
 def compute(table: Table, choices: Choices) -> Found:
     """Fit the primary model of every scale and level."""
+    found = Found(key="primary")
+    models, losses = _fit(found, table, choices)
+    slopes = list(_gather_slopes(table, models))
+    found.verdicts = [one.conclude() for one in slopes]
+    for loss in losses:
+        told = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
+        found.verdicts += [told | {"metric": name} | BLANK for name in loss["metrics"]]
+    own = {part: [one for one in slopes if one.part is part] for part in models}
+    for part, mine in own.items():
+        _add_rows(found, part, mine)
+    found.rows["unbounded"] += _compare_unbounded(table, models, choices)
+    if found.verdicts:
+        described = [_describe_part(part, mine) for part, mine in own.items()]
+        found.facts = {"parts": described, "losses": losses, "verdicts": found.verdicts}
+    if models:
+        drawn = {part.subject: model for part, model in models.items()}
+        steps = parts.find_table_steps(table)
+        per = {step.per for step in steps.values()}
+        says = {"per": per.pop() if len(per) == 1 else "step"}
+        found.draw("slopes", "slopes", drawn, steps, says=says)
+        found.draw("residuals", "residuals", drawn, says={})
+    return found
+
+
+def _fit(found: Found, table: Table, choices: Choices) -> tuple[dict[Part, Primary], list[Row]]:
+    """Fit the models; also list which metrics have no slope, and why."""
     models: dict[Part, Primary] = {}
-    notes: list[str] = []
     losses: list[Row] = []
+
+    def lose(part: Part, metrics: Sequence[str], why: str) -> None:
+        if part.rows["rating"].min() == part.rows["rating"].max():
+            why = "all ratings are the same"
+        told = {"subject": part.subject, "ratings": part.ratings, "metrics": list(metrics)}
+        losses.append({**part.keys, **told, "why": why})
+
     for part in parts.thin_parts(table, choices):
-        notes += [part.thinned] if part.thinned else []
+        found.notes += [part.thinned] if part.thinned else []
         try:
             model = orient_differences(fit_primary(part.rows, table.metrics), table.info)
         except ValueError as error:
-            notes.append(f"{part.lead}: no primary model. {error}")
-            losses.append(_lose(part, table.metrics, str(error).removesuffix(".")))
+            found.notes.append(f"{part.lead}: no primary model. {error}")
+            lose(part, table.metrics, str(error).removesuffix("."))
             continue
         models[part] = model
         said = (*model.reductions, *model.notes)
-        notes += [f"{part.lead}, primary model: {note}" for note in said]
+        found.notes += [f"{part.lead}, primary model: {note}" for note in said]
         for name in (name for name in table.metrics if name not in model.slopes.index):
             varies = part.rows.groupby("recording", observed=True)[name].nunique().max() > 1
             lost = "within recordings it follows from the other metrics"
-            same = "the stimuli of a recording do not differ in it"
-            losses.append(_lose(part, [name], lost if varies else same))
-    slopes = _list_slopes(table, models)
-    verdicts = [make_verdict(one) for one in slopes]
-    for loss in losses:
-        told = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
-        verdicts += [told | {"metric": name} | BLANK for name in loss["metrics"]]
-    own = {part: [one for one in slopes if one.part is part] for part in models}
-    rows: dict[str, list[Row]] = {name: [] for name in TABLES}
-    for part, model in models.items():
-        _list_model(part, model, rows)
-        for one in own[part]:
-            _list_slope(one, rows)
-            rows["influence"] += _list_influence(one)
-        odd = own[part][0].influence.exceptions.reset_index()
-        quantities = {"excess": "excess - - p", "exceptional": "exceptional"}
-        rows["exceptions"] += list_rows(odd, quantities, [REDUCER], n=model.n_rows, **part.keys)
-    rows["unbounded"] = list(_compare_unbounded(table, models, choices))
-    facts: dict[str, Any] = {
-        "parts": [_describe_part(part, mine) for part, mine in own.items()],
-        "losses": losses,
-        "verdicts": verdicts,
-    }
-    pictures = list(_draw(table, models)) if models else []
-    return Found(rows, facts if verdicts else {}, pictures, notes, verdicts)
+            lose(part, [name], lost if varies else "the stimuli of a recording do not differ in it")
+    return models, losses
 
 
-TABLES = (
-    "slopes", "slope_differences", "influence", "exceptions", "unbounded", "models", "spreads", "slopes_between",
-)  # fmt: skip
-
-
-def _lose(part: Part, metrics: Sequence[str], why: str) -> Row:
-    alike = part.rows["rating"].min() == part.rows["rating"].max()
-    why = "all ratings are the same" if alike else why
-    told = {"subject": part.subject, "ratings": part.ratings, "metrics": list(metrics), "why": why}
-    return {**part.keys, **told}
-
-
-def _list_slopes(table: Table, models: Mapping[Part, Primary]) -> list[Slope]:
+def _gather_slopes(table: Table, models: Mapping[Part, Primary]) -> Iterator[Slope]:
     """Put every slope together with what single stimuli, recordings and reducers do to it."""
     if not models:
-        return []
-    found, steps = [], parts.find_table_steps(table)
+        return
+    steps = parts.find_table_steps(table)
     slopes = tabulate_slopes({part.lead: model for part, model in models.items()})
     for part, model in models.items():
         own = slopes["attribute"] == part.lead
@@ -146,8 +177,7 @@ def _list_slopes(table: Table, models: Mapping[Part, Primary]) -> list[Slope]:
         influence = sensitivity.measure_influence(part.rows, table.metrics, model, others=others)
         for row in slopes[own].to_dict("records"):
             name = str(row["metric"])
-            found.append(Slope(row, part, model, influence, steps[name], table.info.get(name)))
-    return found
+            yield Slope(row, part, model, influence, steps[name], table.info.get(name))
 
 
 def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primary:
@@ -170,114 +200,34 @@ def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primar
     return model.replace(differences=type(model.differences)(rows))
 
 
-# What is concluded of a slope.
-
-BLANK: Row = {
-    "verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False, "hinges_on": [],
-    "better_than": [], "few": [], "beyond_level": "",
-}  # fmt: skip
-"""The verdict on a metric without a slope."""
-
-
-def make_verdict(one: Slope) -> Row:
-    """Conclude about a slope, as data: a program reads it, the templates put it into words."""
-    verdict = conclude(one.row["p_holm"])
-    expected = LOWER if one.info is not None and one.info.higher == "worse" else HIGHER
-    direction = ""
-    if verdict == PREDICTS:
-        direction = HIGHER if one.row["estimate"] > 0 else LOWER
-    hinges = [f"{row['kind']} {row['unit']}" for row in one.hinges]
-    least = FEWEST if verdict == NOT_ESTIMABLE else FEW
-    units = _count_units(one.model).items()
-    steady = verdict == PREDICTS and direction == expected and not hinges
-    better = [
-        str(row["second"] if row["first"] == one.metric else row["first"])
-        for row in one.model.differences.to_dict("records")
-        if steady and one.metric == find_better(row)
-    ]
-    return {
-        **one.part.keys, "metric": one.metric, "subject": one.part.subject, "ratings": one.part.ratings,
-        "verdict": verdict, "direction": direction, "higher": "better" if expected == HIGHER else "worse",
-        "opposite": verdict == PREDICTS and direction != expected, "hinges_on": hinges, "better_than": better,
-        "few": [format_count(size, name) for name, size in units if size < least],
-        "beyond_level": sensitivity.judge_level(one.model.level, one.row["p_holm"], one.row["plain_p_holm"]),
-    }  # fmt: skip
-
-
-def find_better(row: Mapping[Any, Any]) -> str:
-    """Find which of two metrics has the stronger standardised slope, each in the direction that it declares."""
-    low, high = row["standardised_low"], row["standardised_high"]
-    if math.isnan(low) or low <= 0 <= high:
-        return ""
-    return str(row["first"] if low > 0 else row["second"])
-
-
-def _count_units(model: Primary) -> dict[str, int]:
-    scene = SOURCE if model.n_sources < model.n_recordings else SCENE
-    reducers = {REDUCER: model.n_reducers} if model.n_reducers else {}
-    return {"participant": model.n_participants, scene: model.n_sources} | reducers
-
-
-# Rows.
-
-
-SLOPES = {
-    "slope_quartile": "quartile_effect quartile_low quartile_high p_holm", "slope": "value low high p_holm",
-    "slope_centred": "centred centred_low centred_high centred_p", "df": "df",
-    "standardised": "standardised standardised_low standardised_high p",
-    "slope_without_level": "plain - - plain_p_holm",
-}  # fmt: skip
-
-
-def _list_slope(one: Slope, rows: dict[str, list[Row]]) -> None:
-    size, row = one.step.size, one.row
-    scaled = {name: row[name] * size for name in ("centred", "centred_low", "centred_high", "plain")}  # fmt: skip
-    found = list_rows([row | scaled | one.scale(row)], SLOPES, **one.keys)
-    rows["slopes"] += found if math.isfinite(row["plain"]) else found[:-1]
-    rows["slopes"].append(make_row("step", size, note=one.step.per, **one.keys))
-    between = one.model.between
-    if one.metric in between.index:
-        row = between.loc[one.metric].to_dict()
-        row |= {name: row[name] * size for name in ("estimate", "low", "high")}
-        quantities = {"slope_between": "estimate low high p"}
-        rows["slopes_between"] += list_rows([row], quantities, **one.keys)
-
-
-SIZES = (
-    "marginal_r2", "conditional_r2", "item_variance_explained", "n_rows", "n_participants", "n_recordings",
-    "n_sources", "n_items",
-)  # fmt: skip
-
-
-def _list_model(part: Part, model: Primary, rows: dict[str, list[Row]]) -> None:
+def _add_rows(found: Found, part: Part, slopes: Sequence[Slope]) -> None:
+    """Add the rows of one model and its slopes; of units, first those that turn a verdict or move a slope."""
+    model, influence = slopes[0].model, slopes[0].influence
     keys: Row = {**part.keys, "n": model.n_rows}
     fit = {"fit": "singular" if model.fit.singular else "regular"}
-    sizes = {name: getattr(model, name) for name in SIZES}
-    rows["models"] += list_rows([fit | sizes], ["fit", *SIZES], **keys)
-    rows["spreads"] += list_rows(model.fit.variances, ["sd"], ["group", "term"], **keys)
-    standardised = [f"standardised_{end}" for end in ("estimate", "low", "high", "p")]
-    quantities = {
-        "difference": "estimate low high p", "difference_standardised": " ".join(standardised),
-        "df": "standardised_df",
-    }  # fmt: skip
-    pair = {"metric": "first", "second_metric": "second"}
-    rows["slope_differences"] += list_rows(
-        model.differences, quantities, pair, interval=SATTERTHWAITE, **keys
-    )
-
-
-def _list_influence(one: Slope) -> list[Row]:
-    """List what each unit does, first those that turn a verdict or move a slope."""
-    table = one.influence.table
-    if table.empty:
-        return []
-    own = table[table["metric"] == one.metric].sort_values("moves", ascending=False, kind="stable")
-    records = [
-        row | one.scale(row) | {"verdict": str(row["verdict"]).replace("_", " ")}
-        for row in own.to_dict("records")
-    ]
-    quantities = {"slope": "value low high p_holm", "shift": "shift", "verdict": "verdict"}
-    return list_rows(records, quantities, ["kind", "unit"], **one.keys)
+    found.add("models", [{**model, **fit}], **keys)
+    found.add("spreads", model.fit.variances, **keys)
+    found.add("slope_differences", model.differences, **keys)
+    for one in slopes:
+        own, row, size = keys | {"metric": one.metric}, one.row, one.step.size
+        scaled = {name: row[name] * size for name in ("centred", "centred_low", "centred_high")}
+        if math.isfinite(row["plain"]):
+            scaled["plain"] = row["plain"] * size
+        kept = {name: value for name, value in row.items() if name != "plain"}
+        found.add(
+            "slopes", [kept | scaled | one.scale(row) | {"size": size, "per": one.step.per}], **own
+        )
+        if one.metric in model.between.index:
+            row = model.between.loc[one.metric].to_dict()
+            row |= {name: row[name] * size for name in ("estimate", "low", "high")}
+            found.add("slopes_between", [row], **own)
+        if not influence.table.empty:
+            units = influence.table[influence.table["metric"] == one.metric]
+            moving = units.sort_values("moves", ascending=False, kind="stable")
+            for unit in moving.to_dict("records"):
+                verdict = str(unit["verdict"]).replace("_", " ")
+                found.add("influence", [{**unit, **one.scale(unit), "verdict": verdict}], **own)
+    found.add("exceptions", influence.exceptions.reset_index(), **keys)
 
 
 BOUNDED = "spectral_match_bounded"
@@ -288,6 +238,8 @@ def _compare_unbounded(
     table: Table, models: Mapping[Part, Primary], choices: Choices
 ) -> Iterator[Row]:
     """Give the paper's own spectral match, where the primary analysis uses the bounded one and both are there."""
+    from feel321.analysis.association.correlate import correlate
+
     if BOUNDED not in table.metrics or UNBOUNDED not in table.further:
         return
     metrics = [UNBOUNDED if name == BOUNDED else name for name in table.metrics]
@@ -297,14 +249,15 @@ def _compare_unbounded(
         cells = make_cells(part.rows, metrics)
         item = sensitivity.find_candidates(cells, count=1)[0]
         keys: Row = {**part.keys, "metric": UNBOUNDED}
-        ends: Row = {"low": ranks.low, "high": ranks.high, "n": ranks.n_items, "interval": TWO_WAY}
-        yield make_row("ranks", ranks.value, **ends, **keys)
-        rest = cells.leave_out("item", item)
-        for quantity, some in (("slope", cells), ("slope_without", rest)):
-            row = fit_slopes(some).table.loc[UNBOUNDED].to_dict()
-            keys |= {"n": len(some.table), "interval": SATTERTHWAITE}
-            yield from list_rows([row], {quantity: "tenth tenth_low tenth_high"}, **keys)
-        yield make_row("stimulus", item, **keys | {"n": 0})
+        ends: Row = {"low": ranks.low, "high": ranks.high, "interval": INTERVALS["two-way"]}
+        yield make_row("ranks", ranks.value, n=ranks.n_items, **ends, **keys)
+        for quantity, some in (("slope", cells), ("slope_without", cells.leave_out("item", item))):
+            row = fit_slopes(some).table.loc[UNBOUNDED]
+            ends = {"low": row["tenth_low"], "high": row["tenth_high"], "n": len(some.table)}
+            yield make_row(
+                quantity, row["tenth"], interval=INTERVALS["satterthwaite"], **ends, **keys
+            )
+        yield make_row("stimulus", item, **keys)
 
 
 # Facts for the words.
@@ -314,30 +267,26 @@ def _describe_part(part: Part, slopes: Sequence[Slope]) -> Row:
     """Gather what the template says of one scale and level."""
     model, influence = slopes[0].model, slopes[0].influence
     findings = [_describe_slope(one) for one in slopes]
-    tried = influence.table
-    kinds: Any = (
-        [] if tried.empty else tried.loc[tried["verdict"] != NOT_ESTIMABLE, "kind"].unique()
-    )
+    kinds: list[str] = []
+    if not influence.table.empty:
+        tried = influence.table["verdict"] != NOT_ESTIMABLE
+        kinds = list(influence.table.loc[tried, "kind"].unique())
+    spreads: list[str] = []
+    for name in (one.metric for one in slopes if one.metric in ROTATIONS):
+        from feel321.analysis.replication import explain_spread
+
+        spreads.append(explain_spread(part.rows, name))
     odd = influence.exceptions.reset_index().to_dict("records")
     return {
         "subject": part.subject, "ratings": part.ratings, "findings": findings,
         "blank": all(one["verdict"] == NOT_ESTIMABLE for one in findings),
         "comparisons": list(_compare_slopes(model, findings)),
         "exceptions": [row for row in odd if row["exceptional"]],
-        "spreads": list(filter(None, (_explain_spread(part.rows, one.metric) for one in slopes))),
+        "spreads": [text for text in spreads if text],
         "unbounded": any(one.metric == UNBOUNDED for one in slopes),
-        "sizes": _count_units(model), "n_items": model.n_items, "n_recordings": model.n_recordings,
+        "sizes": slopes[0].units, "n_items": model.n_items, "n_recordings": model.n_recordings,
         "level": model.level, "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
     }  # fmt: skip
-
-
-def _explain_spread(rows: DataFrame, metric: str) -> str:
-    """Say why a spread over orientations may go with ratings the wrong way; of other metrics nothing."""
-    if metric not in ROTATIONS:
-        return ""
-    from feel321.analysis.replication import explain_spread
-
-    return explain_spread(rows, metric)
 
 
 def _describe_slope(one: Slope) -> Row:
@@ -349,10 +298,9 @@ def _describe_slope(one: Slope) -> Row:
     row, moves = one.row, one.influence.find_moves(one.metric).to_dict("records")
     quartile = {"value": row["quartile_effect"], "low": row["quartile_low"], "high": row["quartile_high"]}  # fmt: skip
     moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
-    return make_verdict(one) | {
+    return one.conclude() | {
         "quartile": quartile, "step": one.scale(row), "per": one.step.per, "p": row["p_holm"],
         "hinges": [describe(unit) for unit in one.hinges], "moves": [] if one.hinges else moved,
-        "scenes": "sources" if one.model.n_sources < one.model.n_recordings else "recordings",
     }  # fmt: skip
 
 
@@ -375,101 +323,63 @@ def _compare_slopes(model: Primary, findings: Sequence[Row]) -> Iterator[Row]:
         }  # fmt: skip
 
 
-def _draw(table: Table, models: Mapping[Part, Primary]) -> Iterator[Picture]:
-    steps = parts.find_table_steps(table)
-    per = {step.per for step in steps.values()}
-    caption = (
-        f"Slope within recordings of ratings on each metric, points per {per.pop() if len(per) == 1 else 'step'} of "
-        "it, mixed model; bars: 95 % Satterthwaite intervals, not adjusted; hollow: singular fit."
-    )
-    drawn = {part.subject: model for part, model in models.items()}
-    yield Picture("slopes", caption, partial(kinds.draw_slopes, drawn, steps))
-    caption = "Residuals of the primary models: left against normal quantiles, right against fitted values."
-    yield Picture("residuals", caption, partial(kinds.draw_residuals, drawn), detail=True)
-
-
 # All metrics, the best first: out of fold and corrected for how many were tried.
 
 STRENGTH = "level_as_played"
-JOINT = "simultaneous 95 % interval, for other participants, recordings and reducers"
 
 
 def compute_rivals(table: Table, choices: Choices) -> Found:
     """Rank all metrics on every scale and level, where a comparison was asked for."""
-    told: list[Row] = []
-    notes: list[str] = []
-    pictures: list[Picture] = []
-    rows: dict[str, list[Row]] = {"rivals": [], "rivals_picked": []}
-    for part in split_tests(table) if table.rivals else ():
+    found, told = Found(key="rivals"), list[Row]()
+    found.facts["parts"] = told
+    if not table.rivals:
+        return found
+    from feel321.analysis.association import rivals
+
+    for part in split_tests(table):
+        rows, names = part.rows, list(table.rivals)
+        # Where no metric of the set is about level alone, the level as played is.
+        known = AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all()
+        if not set(rivals.BASELINES) & set(names) and known:
+            rows = rows.assign(**{STRENGTH: 20 * np.log10(rows[AMPLITUDE])})
+            names.append(STRENGTH)
+        rng = choices.make_rng("rivals", *part.place)
         try:
-            ranking = _rank(part, table, choices)
+            one = rivals.rank_metrics(rows, names, rng=rng, info=table.info)
         except ValueError as error:  # it was asked for, so the answer says why there is none
             told.append({"subject": part.subject, "why": str(error)})
             continue
-        told.append({"subject": part.subject, "why": "", **describe_ranking(part, ranking)})
-        notes += [f"{part.lead}, metrics ranked: {note}" for note in ranking.notes]
-        pictures.append(_draw_ranking(part, ranking, detail=bool(pictures)))
-        over = {"over_baseline": "over_baseline over_low over_high over_p"}
-        quantities = {
-            "r_out_of_fold": "value low high p", "r_over_ceiling": "share", **(over if ranking.baseline else {}),
-            "may_be_best": "may_be_best", "chosen": "chosen", "r_in_fold": "fitted",
-        }  # fmt: skip
-        keys: Row = {**part.keys, "n": ranking.n_items}
-        frame = ranking.to_frame()
-        rows["rivals"] += list_rows(frame, quantities, ["metric"], interval=JOINT, **keys)
-        rows["rivals_picked"].append(make_row("r_picked", ranking.honest_value, **keys))
-        names = ("ceiling", "n_items", "n_participants", "n_sources")
-        sizes = {name: getattr(ranking, name) for name in names} | {"n_metrics": len(frame)}
-        rows["rivals_picked"] += parts.count_rows(sizes, **keys)
-    return Found(rows, {"parts": told} if told else {}, pictures, notes)
-
-
-def _rank(part: Part, table: Table, choices: Choices) -> Statistic:
-    rows, names = part.rows, list(table.rivals)
-    # Where no metric of the set is about level alone, the level as played is.
-    if not set(rivals.BASELINES) & set(names) and AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all():
-        rows = rows.assign(**{STRENGTH: 20 * np.log10(rows[AMPLITUDE])})
-        names.append(STRENGTH)
-    rng = choices.make_rng("rivals", *part.place)
-    return rivals.rank_metrics(rows, names, rng=rng, info=table.info)
-
-
-def _draw_ranking(part: Part, one: Statistic, *, detail: bool) -> Picture:
-    caption = (
-        f"How well each metric predicts {part.ratings} within recordings, out of fold: correlation with simultaneous "
-        "95 % intervals; hollow: not in the confidence set of the best metric. Dashed: noise ceiling; dotted: level "
-        "alone."
-    )
-    level = one.table["value"].to_dict().get(one.baseline, np.nan)
-    scenes = format_recordings(one.n_recordings, one.n_sources)
-    size = f"{one.n_participants} participants, {scenes}, {one.n_items} stimuli"
-    frame = one.to_frame().rename(columns={"may_be_best": "filled"})
-    frame["name"] = frame["metric"].map(format_name)
-    lines = {"-": 0.0, "--": one.ceiling, ":": level}
-    title, label = f"{len(frame)} metrics, {size}.", "Correlation within recordings, out of fold"
-    draw = partial(kinds.draw_estimates, frame, label, lines=lines, title=title)
-    return Picture(parts.make_slug("rivals", *part.place), caption, draw, detail)
-
-
-def describe_ranking(part: Part, ranking: Statistic) -> Row:
-    """Decide which metric may be said to predict best: verdict, and the numbers that its sentence needs."""
-    table, row = ranking.table, ranking.to_frame().to_dict("records")[0]
-    shown = list(map(str, table.index[(table["p"] < rivals.LEVEL) & (table["value"] > 0)]))
-    if 0 < ranking.n_reducers < rivals.FEWEST_REDUCERS:
-        verdict = "few_reducers"
-    elif ranking.baseline and not ranking.better:
-        verdict = "not_above_level"
-    elif not ranking.baseline and not shown:
-        verdict = "none"
-    else:
-        verdict = "alone" if ranking.alone else "unresolved"
-    return {
-        "verdict": verdict, "ratings": part.ratings, "best": ranking.best, "baseline": ranking.baseline,
-        "better": list(ranking.better) if ranking.baseline else shown, "n_metrics": len(table),
-        "n_candidates": len(ranking.candidates), "n_reducers": ranking.n_reducers, "needed": rivals.FEWEST_REDUCERS,
-        "r": {"value": row["value"], "low": row["low"], "high": row["high"]}, "ceiling": ranking.ceiling,
-        "picked": ranking.honest_value,
-    }  # fmt: skip
+        row, frame = one.to_frame().to_dict("records")[0], one.to_frame()
+        shown = frame[(frame["p"] < rivals.LEVEL) & (frame["value"] > 0)]["metric"]
+        if 0 < one.n_reducers < rivals.FEWEST_REDUCERS:
+            verdict = "few_reducers"
+        elif one.baseline and not one.better:
+            verdict = "not_above_level"
+        elif not one.baseline and not len(shown):
+            verdict = "none"
+        else:
+            verdict = "alone" if one.alone else "unresolved"
+        told.append({
+            "subject": part.subject, "why": "", "verdict": verdict, "ratings": part.ratings, "best": one.best,
+            "baseline": one.baseline, "better": list(one.better if one.baseline else shown), "n_metrics": len(frame),
+            "n_candidates": len(one.candidates), "n_reducers": one.n_reducers, "needed": rivals.FEWEST_REDUCERS,
+            "r": {"value": row["value"], "low": row["low"], "high": row["high"]}, "ceiling": one.ceiling,
+            "picked": one.honest_value,
+        })  # fmt: skip
+        found.notes += [f"{part.lead}, metrics ranked: {note}" for note in one.notes]
+        keys: Row = {**part.keys, "n": one.n_items}
+        kept = frame if one.baseline else frame.drop(columns="over_baseline", errors="ignore")
+        found.add("rivals", kept, **keys)
+        found.add("rivals_picked", [{**one, "n_metrics": len(frame)}], **keys)
+        frame = frame.rename(columns={"may_be_best": "filled"})
+        frame["name"] = frame["metric"].map(format_name)
+        level = one.table["value"].to_dict().get(one.baseline, np.nan)
+        scenes = format_recordings(one.n_recordings, one.n_sources)
+        title = f"{len(frame)} metrics, {one.n_participants} participants, {scenes}, {one.n_items} stimuli."
+        options: Row = {"lines": {"-": 0.0, "--": one.ceiling, ":": level}, "title": title}
+        slug, says = parts.make_slug("rivals", *part.place), {"ratings": part.ratings}
+        found.draw("ranking", slug, frame, says=says, detail=bool(found.pictures), **options)
+    return found
 
 
 # The primary slopes under other choices.
@@ -480,44 +390,29 @@ MOST_CELLS = 20_000
 
 def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Repeat the primary analysis under other choices."""
-    notes: list[str] = []
-    rows: list[Row] = []
-    pictures: list[Picture] = []
+    found = Found(key="robustness")
     for part in split_tests(table):
         cells = len(part.rows.groupby(["participant", "item"], observed=True))
-        try:
-            if cells > MOST_CELLS or parts.is_large(part.rows, len(table.metrics)):
-                raise ValueError(f"{cells} participant x stimulus cells are too many.")  # noqa: TRY301 - as a model's reasons
-            varied = sensitivity.vary_primary(part.rows, table.metrics)
-        except ValueError as error:
-            notes.append(f"{part.lead}: no variants. {error}")
+        if cells > MOST_CELLS or parts.is_large(part.rows, len(table.metrics)):
+            why = f"{cells} participant x stimulus cells are too many."
+            found.notes.append(f"{part.lead}: no variants. {why}")
             continue
-        caption = (
-            f"Standardised slopes of {part.ratings} within recordings under other choices; 95 % Satterthwaite "
-            "intervals; hollow: singular fit."
-        )
-        slug = parts.make_slug("variants", *part.place)
+        lead = f"{part.lead}: no variants."
+        varied = found.attempt(lead, sensitivity.vary_primary, part.rows, table.metrics)
+        if varied is None:
+            continue
+        found.add("variants", varied, **part.keys, n=len(part.rows))
         frame = varied.rename(columns={"variant": "name"}).assign(filled=~varied["singular"])
-        columns = "standardised standardised_low standardised_high"
-        label = "SD of ratings per SD of metric"
-        draw = partial(kinds.draw_estimates, frame, label, columns=columns, series="metric")
-        pictures.append(Picture(slug, caption, draw, detail=bool(pictures)))
-        rows += _list_variants(part, varied)
+        slug, says = parts.make_slug("variants", *part.place), {"ratings": part.ratings}
+        found.draw("variants", slug, frame, says=says, detail=bool(found.pictures))
         own = varied.drop_duplicates("variant").set_index("variant")["reason"]
         # What the primary model lacks is said in its own section.
         others = own[(own != "") & (own != own["primary"])]
         for reason, names in others.groupby(others, sort=False).groups.items():
-            notes.append(f"{part.lead}, {'; '.join(names)}: {reason}")
-    return Found({"variants": rows}, {"turned": find_turned(rows)} if rows else {}, pictures, notes)
-
-
-def _list_variants(part: Part, varied: DataFrame) -> Iterator[Row]:
-    keys: Row = {**part.keys, "n": len(part.rows), "interval": SATTERTHWAITE}
-    columns = {"variant": "variant", "metric": "metric"}
-    ends = "standardised standardised_low standardised_high p"
-    with_reason = columns | {"note": "reason"}
-    yield from list_rows(varied, {"standardised": ends}, with_reason, **keys)
-    yield from list_rows(varied, {"slope": "estimate"}, columns | {"note": "unit"}, **keys)
+            found.notes.append(f"{part.lead}, {'; '.join(names)}: {reason}")
+    if rows := found.rows["variants"]:
+        found.facts["turned"] = find_turned(rows)
+    return found
 
 
 def find_turned(rows: Sequence[Row]) -> list[Row]:
@@ -532,10 +427,3 @@ def find_turned(rows: Sequence[Row]) -> list[Row]:
     own = [row for row in rows if row["quantity"] == "standardised"]
     whole = {place(row): sign(row) for row in own if row["variant"] == "primary"}
     return [row for row in own if math.isfinite(row["low"]) and sign(row) != whole[place(row)]]
-
-
-SECTIONS = (
-    Section("primary", "Change in rating with each metric, within recordings", "predict", compute),
-    Section("rivals", "Which metric predicts best?", "predict", compute_rivals),
-    Section("robustness", "Robustness to other choices", "hinge", compute_robustness),
-)

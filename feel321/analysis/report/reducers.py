@@ -1,9 +1,8 @@
-"""Sections about reducers: profile of mean ratings, differences and equivalence, levels compared."""
+"""Sections on reducers: profile of mean ratings, differences and equivalence, levels compared."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING
 
@@ -11,23 +10,15 @@ import numpy as np
 
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.contrasts import compare
-from feel321.analysis.figures import kinds
-from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.section import Found, Picture, Row, Section, list_rows, make_row
-from feel321.analysis.table.items import (
-    Part,
-    find_sources,
-    format_recordings,
-    select_tests,
-    split_arms,
-)
+from feel321.analysis.report.section import Found, Row
+from feel321.analysis.table.items import find_sources, format_recordings, select_tests, split_arms
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, PAIRED, ROLES
-from feel321.analysis.words import SATTERTHWAITE, STUDENT, format_count, join_words
+from feel321.analysis.words import format_count
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -36,6 +27,7 @@ if TYPE_CHECKING:
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.metrics import Step
 
+REDUCER, TEST = "reducer", ROLES[0]
 
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
 
@@ -43,29 +35,26 @@ WAYS = {
     PAIRED: ("least like the reference", "most like it"),
     ANSWERED: ("told apart most", "least"),
 }
-NAMED = 2
-PERSONAL = ("scale", "level", "participant", "role", "reducer")
-TEST = ROLES[0]
 
 
 def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Average ratings per reducer."""
-    single = table.rows[table.rows["role"] != PAIR]
+    from feel321.analysis.figures.style import assign_looks
+
+    found, single = Found(key="reducers"), table.rows[table.rows["role"] != PAIR]
+    told: list[Row] = []
+    found.facts["parts"] = told
     profile, people = compare.profile_reducers(single), compare.participant_means(single)
     if profile.empty:
-        return Found(notes=("Only pairs of two test stimuli were rated: no ratings per reducer.",))
-    order, scales = order_reducers(profile["reducer"]), list(single["scale"].unique())
+        found.notes.append("Only pairs of two test stimuli were rated: no ratings per reducer.")
+        return found
+    order, scales = order_reducers(profile[REDUCER]), list(single["scale"].unique())
     listed = sorted(profile.to_dict("records"), key=lambda row: (
-        scales.index(row["scale"]), row["level"], ROLES.index(row["role"]), order.index(row["reducer"]),
+        scales.index(row["scale"]), row["level"], ROLES.index(row["role"]), order.index(row[REDUCER]),
     ))  # fmt: skip
-    names = ("n_participants", "n_stimuli", "n_ratings")
-    quantities = {"mean": "mean low high"} | dict(zip(names, names, strict=True))
-    keys = {key: key for key in ("scale", "level", "role", "reducer")} | {"n": "n_ratings"}
-    rows = {
-        "profiles": list_rows(listed, quantities, keys, interval=STUDENT),
-        "participants": list_rows(people, {"mean": "rating"}, PERSONAL, n=1),
-    }
-    told, drawn = [], []
+    found.add("profiles", listed)
+    found.add("participants", people, n=1)
+    drawn = []
     for part in split_arms(table.rows[table.rows["role"] == TEST]):
         own, whose = (
             frame[(frame["scale"] == part.scale) & (frame["level"] == part.level)]
@@ -73,79 +62,76 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
         )
         drawn.append((part.subject, own, whose))
         told.append({"subject": part.subject, **describe_extremes(own)})
-    looks = assign_looks(order_reducers(table.rows["reducer"]))
-    draw = partial(kinds.draw_profiles, drawn, looks)
-    pictures = [Picture("profile", _caption_profiles(drawn), draw)] if drawn else []
-    return Found(rows, {"parts": told}, pictures)
+    for slug, shown in parts.split_front("profile", drawn):
+        roles = {role for _, rows, _ in shown for role in rows["role"]}
+        apart = {"reference": "the hidden reference", "anchor": "anchors"}
+        says = {
+            "subjects": [subject for subject, _, _ in shown], "roles": [apart[role] for role in apart if role in roles],
+            "alone": max(rows["n_participants"].max() for _, rows, _ in shown) < SMALLEST,
+            "guessed": any((rows["scale"] == ANSWERED).any() for _, rows, _ in shown),
+        }  # fmt: skip
+        looks = assign_looks(order_reducers(table.rows[REDUCER]))
+        found.draw("profile", slug, shown, looks, says=says, detail=slug != "profile")
+    return found
 
 
 def describe_extremes(profile: DataFrame) -> Row:
     """Find which reducers are at either end; clear: whether their intervals are apart."""
     tests = profile[profile["role"] == TEST]
     means = tests["mean"]
-    if means.nunique() < NAMED:
+    if means.min() == means.max():
         return {"high": [], "low": [], "clear": False}
     high, low = (tests[means == end] for end in (means.max(), means.min()))
     known = not tests[["low", "high"]].isna().any(axis=None)
     ways = WAYS.get(profile["scale"].iloc[0], ("highest", "lowest"))
     return {
-        "high": list(high["reducer"]), "low": list(low["reducer"]), "top": means.max(), "bottom": means.min(),
+        "high": list(high[REDUCER]), "low": list(low[REDUCER]), "top": means.max(), "bottom": means.min(),
         "ways": ways, "clear": bool(known and high["low"].min() > low["high"].max()),
     }  # fmt: skip
 
 
-def _caption_profiles(drawn: list[tuple[str, DataFrame, DataFrame]]) -> str:
-    caption = f"Mean rating per reducer: {join_words([subject for subject, _, _ in drawn])}"
-    if max(rows["n_participants"].max() for _, rows, _ in drawn) < SMALLEST:
-        caption += "; one participant each, so no intervals."
-    else:
-        caption += ", with 95 % t intervals over participants: other people, these recordings."
-    caption += " Grey: each participant's mean."
-    if any((rows["scale"] == ANSWERED).any() for _, rows, _ in drawn):
-        caption += " Guessing gives 50 in ABX."
-    there = {role for _, rows, _ in drawn for role in rows["role"]}
-    apart = {"reference": "the hidden reference", "anchor": "anchors"}
-    roles = [name for role, name in apart.items() if role in there]
-    return caption + (f" Below the dotted line: {' and '.join(roles)}." if roles else "")
-
-
 # Reducers against each other: differences, equivalence, non-inferiority of the simpler one.
-
-REDUCER = "reducer"
 
 
 def compute_contrasts(table: Table, choices: Choices) -> Found:
     """Compare every two reducers on every scale and level."""
-    told: list[Row] = []
-    notes: list[str] = []
-    pictures: list[Picture] = []
-    rows: dict[str, list[Row]] = {"contrasts": [], "reducers_together": []}
+    found, margin, told = Found(key="contrasts"), choices.margin, list[Row]()
+    found.facts["parts"] = told
     # A person's reducers are so many effects.
     n_slopes = table.rows[REDUCER].nunique()
     for part in parts.thin_parts(table, choices, n_slopes=n_slopes, matched=False):
-        notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
-        try:
-            pairs, joint = compare_all(part.rows, choices.margin)
-        except ValueError as error:
-            notes.append(f"{part.lead}: reducers are not compared. {error}")
+        found.notes += [f"Reducers compared: {part.thinned}"] if part.thinned else []
+        lead = f"{part.lead}: reducers are not compared."
+        compared = found.attempt(lead, compare_all, part.rows, margin)
+        if compared is None:
             continue
-        for pair in pairs:
-            rows["contrasts"] += _list_pair(part, pair)
-        differ = sum(pair["p_holm"] < parts.SIGNIFICANCE for pair in pairs)
-        people, n = part.rows["participant"].nunique(), len(pairs)
-        sizes = {"f": "statistic - - p"} | {
-            name: name for name in ("df_1", "df_2", "n_differ", "n_pairs")
-        }
+        pairs, joint = compared
+        found.add("contrasts", pairs, **part.keys)
+        differ, n = sum(pair["p_holm"] < parts.SIGNIFICANCE for pair in pairs), len(pairs)
         joint |= {"n_differ": differ, "n_pairs": n}
-        rows["reducers_together"] += list_rows([joint], sizes, n=people, **part.keys)
+        people, scenes = part.rows["participant"].nunique(), find_sources(part.rows)
+        found.add("reducers_together", [joint], n=people, **part.keys)
         same = [[pair["first"], pair["second"]] for pair in pairs if pair["equivalent"]]
         told.append({
             "subject": part.subject, "differ": differ, "n_pairs": n, "same": same,
-            "tested": choices.margin is not None, "margin": choices.margin,
+            "tested": margin is not None, "margin": margin,
             "hint": describe_hint(part.rows) if differ or same else [],
         })  # fmt: skip
-        pictures += _picture_equivalence(part, pairs, choices.margin)
-    return Found(rows, {"parts": told} if told else {}, pictures, notes)
+        tested = [
+            one | {"name": f"{one['first']} − {one['second']}", "filled": one["equivalent"]}
+            for one in pairs
+            if "limit" in one
+        ]
+        if tested and margin is not None:
+            from pandas import DataFrame
+
+            says = {
+                "ratings": part.ratings, "margin": margin, "people": people,
+                "recordings": format_recordings(len(scenes), scenes.nunique()),
+            }  # fmt: skip
+            slug, frame = parts.make_slug("equivalence", *part.place), DataFrame(tested)
+            found.draw("equivalence", slug, frame, says=says, band=(-margin, margin))
+    return found
 
 
 def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
@@ -158,53 +144,19 @@ def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
     for one, two in combinations(names, 2):
         found = dict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
         pairs.append({"first": one, "second": two, "n": n, **found})
-    adjusted = adjust_holm([pair["p"] for pair in pairs])
-    for place, holm in enumerate(adjusted):
-        pair = pairs[place]
+    for pair, holm in zip(pairs, adjust_holm([pair["p"] for pair in pairs]), strict=True):
         numbers = pair["estimate"], pair["se"], pair["df"]
-        pair |= dict.fromkeys(("p_equivalence", "p_not_worse"), np.nan)
-        pair |= {"p_holm": holm, "equivalent": False}
+        pair |= {"p_holm": holm, "p_equivalence": np.nan, "equivalent": False}
         pair["low90"], pair["high90"] = compare.find_interval90(*numbers)
         if margin is not None and 0 < pair["se"] < np.inf:
             test = compare.equivalence(*numbers, low=-margin, high=margin)
-            pair |= {"p_equivalence": test.p, "equivalent": test.equivalent, "test": test}
-            pair["p_not_worse"] = compare.non_inferiority(*numbers, margin=-margin).p
+            worse = compare.non_inferiority(*numbers, margin=-margin).p
+            pair |= {
+                "p_equivalence": test.p, "equivalent": test.equivalent, "p_not_worse": worse, "limit": pair["low90"],
+                "told_equivalent": "yes" if test.equivalent else "not shown",
+                "told_not_worse": "yes" if worse < parts.SIGNIFICANCE else "not shown",
+            }  # fmt: skip
     return pairs, dict(compare.compare_terms(fit, list(terms.values())))
-
-
-def _list_pair(part: Part, pair: Row) -> Iterator[Row]:
-    keys: Row = {"reducer": pair["first"], "second_reducer": pair["second"], "n": pair["n"]}
-    keys |= part.keys
-    quantities = {"difference": "estimate low high p_holm", "t": "t - - p", "df": "df"}
-    yield from list_rows([pair], quantities, interval=SATTERTHWAITE, **keys)
-    quantities = {"difference_90": "estimate low90 high90 p_equivalence"}
-    yield from list_rows([pair], quantities, interval="90 % t interval", **keys)
-    if np.isfinite(pair["p_equivalence"]):
-        better = pair["p_not_worse"] < parts.SIGNIFICANCE
-        yield make_row("equivalent", "yes" if pair["equivalent"] else "not shown", **keys)
-        yield make_row("non_inferiority", pair["low90"], p=pair["p_not_worse"], **keys)
-        yield make_row("not_worse", "yes" if better else "not shown", **keys)
-
-
-def _picture_equivalence(part: Part, pairs: list[Row], margin: float | None) -> Iterator[Picture]:
-    from pandas import DataFrame
-
-    tested = [one | {"name": f"{one['first']} − {one['second']}"} for one in pairs if "test" in one]
-    if not tested or margin is None:
-        return
-    scenes = find_sources(part.rows)
-    people = format_count(part.rows["participant"].nunique(), "participant")
-    caption = (
-        f"Differences between reducers in {part.ratings} with 90 % intervals, of two one-sided tests at 5 %; shaded: "
-        f"the margin of equivalence, {margin:g} points. Filled: equivalence is shown. {people}, "
-        f"{format_recordings(len(scenes), scenes.nunique())}."
-    )
-    slug = parts.make_slug("equivalence", *part.place)
-    frame = DataFrame(tested).rename(columns={"equivalent": "filled"})
-    label, columns = "Difference (points of rating)", "estimate low90 high90"
-    band = (-margin, margin)
-    draw = partial(kinds.draw_estimates, frame, label, columns=columns, band=band)
-    yield Picture(slug, caption, draw, detail=True)
 
 
 def describe_hint(rows: DataFrame) -> list[str]:
@@ -220,31 +172,26 @@ def describe_hint(rows: DataFrame) -> list[str]:
 
 def compute_levels(table: Table, choices: Choices) -> Found:
     """Compare the levels at which stimuli were rated."""
-    tests, steps = select_tests(table), parts.find_table_steps(table)
-    if tests["level"].nunique() < NAMED:
-        return Found()
-    found: list[Row] = []
-    notes: list[str] = []
+    found, tests = Found(key="levels"), select_tests(table)
+    listed: list[Row] = []
+    if len(tests["level"].unique()) <= 1:
+        return found
+    steps = parts.find_table_steps(table)
     for scale, rows in tests.groupby("scale", observed=True, sort=False):
         rng = choices.make_rng("levels", str(scale))
         part, thinned = parts.thin_rows(rows, n_slopes=len(steps), rng=rng)
-        notes += [f"{scale}, levels compared: {thinned}"] if thinned else []
-        try:
-            own = list(_compare_levels(part, steps))
-        except ValueError as error:
-            notes.append(f"{scale}: levels are not compared. {error}")
-            continue
-        found += [{"scale": scale, "hint": describe_hint(part)} | row for row in own]
-    for row, holm in zip(found, adjust_holm([row["p"] for row in found]), strict=True):
+        found.notes += [f"{scale}, levels compared: {thinned}"] if thinned else []
+        lead = f"{scale}: levels are not compared."
+        own: Row = {"scale": scale, "hint": describe_hint(part)}
+        listed += [own | row for row in found.attempt(lead, _compare_levels, part, steps) or ()]
+    for row, holm in zip(listed, adjust_holm([row["p"] for row in listed]), strict=True):
         row |= {"p_holm": holm, "decided": holm < parts.SIGNIFICANCE}
-    keys = {key: key for key in ("scale", "first_level", "second_level", "of", "n")}
-    difference = {"difference": "estimate low high p_holm"}
-    listed = list_rows(found, difference, keys | {"note": "unit"}, interval=SATTERTHWAITE)
-    listed += list_rows(found, {"t": "t - - p", "df": "df"}, keys)
-    return Found({"levels": listed}, {"found": found} if found else {}, notes=notes)
+    found.add("levels", listed)
+    found.facts["found"] = listed
+    return found
 
 
-def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> Iterator[Row]:
+def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> list[Row]:
     levels = sorted(part["level"].unique())
     if len(levels) == 1:
         raise ValueError(f"All were rated at one level, '{levels[0]}'.")
@@ -261,7 +208,8 @@ def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> Iterator[Row]
     terms = [*(f"arm:`{name}_w`" for name in used), *(f"(1 | {group})" for group in groups)]
     formula = " + ".join(["rating ~ 0 + arm", *terms])
     fit = fit_mixed(formula, cells.assign(arm=cells["level"].map(codes)))
-    for first, second in combinations(levels, 2):
+
+    def compare_two(first: str, second: str) -> Iterator[Row]:
         one, two = f"arm{codes[first]}", f"arm{codes[second]}"
         wanted = {"rating": ({one: 1.0, two: -1.0}, "points of rating")}
         for name in used:
@@ -271,6 +219,8 @@ def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> Iterator[Row]
         pair: Row = {"first_level": first, "second_level": second, "n": len(cells)}
         for what, (weights, unit) in wanted.items():
             yield pair | {"of": what, "unit": unit} | dict(contrast(fit, weights))
+
+    return [row for pair in combinations(levels, 2) for row in compare_two(*pair)]
 
 
 def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
@@ -283,14 +233,7 @@ def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
         cells = make_cells(arm, metrics).table.groupby(keys, observed=True)
         means = cells.mean(numeric_only=True).reset_index()
         means = means.astype(dict.fromkeys(keys, object))
-        reducers = means["item"].map(arm.drop_duplicates("item").set_index("item")["reducer"])
+        reducers = means["item"].map(arm.drop_duplicates("item").set_index("item")[REDUCER])
         base, source = means["recording"] + "/" + reducers, means["recording"].map(sources)
         tables.append(means.assign(level=level, reducer=reducers, base=base, source=source))
     return pd.concat(tables, ignore_index=True)
-
-
-SECTIONS = (
-    Section("levels", "Level arms compared", "differ", compute_levels),
-    Section("reducers", "Ratings per reducer", "differ", compute_profile),
-    Section("contrasts", "Reducers against each other", "differ", compute_contrasts),
-)

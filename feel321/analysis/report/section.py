@@ -1,8 +1,9 @@
-"""What a report is made of: rows of one tidy frame, sections that declare how pages show them, parts of the ratings.
+"""What a report is made of: rows of one tidy frame, and sections that compute them and declare how pages show them.
 
 A row is one number: what it is (quantity), of what (scale, level, metric, ...), value, interval, p, n, and a note where
 it is a word. ``results.json``, ``tables/*.csv`` and both pages are those rows, filtered. A section is one function
-that computes rows and facts, and one template that holds its English: tables, sentences, methods.
+that decides, and one template, ``templates/words/KEY.j2``, that opens with TOML: its tables (which quantities a record
+holds, and how a page shows them) and its figures; then come the macros that hold its English.
 """
 
 from __future__ import annotations
@@ -11,16 +12,18 @@ import hashlib
 import math
 import re
 import tomllib
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from feel321.analysis.page import TEMPLATES, render_words
 from feel321.analysis.table.dictionary import DICTIONARY
 from feel321.analysis.table.items import Part, find_sources, split_tests
 from feel321.analysis.table.metrics import Step, find_steps
-from feel321.analysis.words import format_estimate, format_name, format_number
+from feel321.analysis.words import INTERVALS, format_estimate, format_name, format_number
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,84 +33,42 @@ if TYPE_CHECKING:
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
+    Records = DataFrame | Iterable[Mapping[Any, Any]]
+
+Anything = TypeVar("Anything")
 Row = dict[Any, Any]
-Names = Mapping[str, str] | Iterable[str]
 
 NONE = math.nan
-FIXED = ("quantity", "value", "low", "high", "p", "n", "interval", "note")
+ENDS = ("value", "low", "high", "p")
+FIXED = ("quantity", *ENDS, "n", "interval", "note")
 """Columns of every row; all others say what the number is of."""
 
 SIGNIFICANCE = 0.05
 
 
 def make_row(quantity: str, value: Any = NONE, **more: Any) -> Row:  # noqa: ANN401 - keys are names and numbers
-    """Make a row of the frame; more: low, high, p, n, interval, note, and its keys; a word or flag is its note.
-
-    Examples
-    --------
-    >>> row = make_row("slope", 3.0, low=1.0, high=5.0, n=90, scale="realism")
-    >>> row["scale"], row["quantity"], row["p"], make_row("best", True)["note"]
-    ('realism', 'slope', nan, 'yes')
-    """
-    row: Row = dict.fromkeys(("quantity", "value", "low", "high", "p"), NONE)
-    row |= {"quantity": quantity, "n": 0, "interval": "", "note": "", **more}
+    """Make a row of the frame; more: low, high, p, n, interval, note, and its keys; a word or flag is its note."""
+    row: Row = {"quantity": quantity, **dict.fromkeys(ENDS, NONE), "n": 0, "interval": "", "note": ""}  # fmt: skip
+    row |= more
     if isinstance(value, str):
         row["note"] = value
     elif str(value) in {"True", "False"}:  # of Python or of NumPy
         row["note"] = "yes" if value else "no"
     else:
         row["value"] = value
-    for name in ("value", "low", "high", "p"):
-        row[name] = float(row[name]) if math.isfinite(row[name]) else NONE
+    row |= {name: float(row[name]) if math.isfinite(row[name]) else NONE for name in ENDS}
     if math.isnan(row["low"] + row["high"]):
         row |= {"low": NONE, "high": NONE, "interval": ""}
     return row | {"n": int(row["n"])}
 
 
-def list_rows(
-    records: DataFrame | Iterable[Mapping[Any, Any]],
-    quantities: Names,
-    keys: Names = (),
-    **fixed: Any,  # noqa: ANN401 - keys of all rows, and what their numbers share
-) -> list[Row]:
-    """Make a row of every quantity of every record.
-
-    quantities: quantity -> names of its value, low, high and p in a record, a dash for none; or names of values that
-    are called so.
-    keys: key -> name in a record of what the row is of, or names that are called so.
-
-    Examples
-    --------
-    >>> records = [{"metric": "a", "r": 0.5, "lo": 0.1, "hi": 0.8, "best": True}]
-    >>> one, two = list_rows(records, {"r": "r lo hi", "best": "best"}, ["metric"], n=9)
-    >>> one["low"], one["metric"], one["n"], two["note"]
-    (0.1, 'a', 9, 'yes')
-    """
-    if hasattr(records, "to_dict"):
-        records = records.to_dict("records")
-    quantities, keys = (
-        names if isinstance(names, Mapping) else dict(zip(names, names, strict=True))
-        for names in (quantities, keys)
-    )
-    rows = []
-    for record in records:
-        own = fixed | {key: record[name] for key, name in keys.items()}
-        for quantity, columns in quantities.items():
-            ends = zip(("value", "low", "high", "p"), columns.split(), strict=False)
-            numbers = {end: record[name] for end, name in ends if name != "-"}
-            rows.append(make_row(quantity, **own, **numbers))
-    return rows
+def find_row(rows: Iterable[Row], quantity: str, **keys: Any) -> Row | None:  # noqa: ANN401 - keys of a row
+    """Find the row of a quantity by its keys."""
+    wanted = {"quantity": quantity, **keys}.items()
+    return next((row for row in rows if all(row.get(key) == one for key, one in wanted)), None)
 
 
-def count_rows(sizes: Mapping[str, float], **keys: Any) -> list[Row]:  # noqa: ANN401 - keys are names and numbers
-    """Make a row for each count."""
-    return list_rows([sizes], list(sizes), **keys)
-
-
-# Tables of a page.
-
-NAMES = ("reducer", "second_reducer", "participant", "stimulus", "recording")
-"""Keys that are names, shown as they are."""
+# What a template declares: tables and figures.
 
 
 class Column(NamedTuple):
@@ -124,42 +85,56 @@ class Column(NamedTuple):
 
 
 class TableForm(NamedTuple):
-    """A table: the name of its file, its caption, what identifies a row, its columns, and keys shown as they are.
+    """A table: the name of its file, how rows are made of a record, and how a page shows them; none without caption.
 
+    rows: quantity -> names in a record of its value, low, high, p and note (a dash for none), and behind a bar the
+    interval where it is another than the table's; "?" where records may lack it. of: key of a row -> name in a record.
     keys: key of the rows -> heading; one that is the same throughout is left out where it is optional ("?" before the
-    heading).
+    heading). raw: keys that are shown as they are.
     """
 
     name: str
-    caption: str
-    keys: Mapping[str, str]
-    columns: Sequence[Column]
-    raw: Iterable[str] = NAMES
+    caption: str = ""
+    keys: Mapping[str, str] = {}
+    columns: Sequence[Column] = ()
+    rows: Mapping[str, str] = {}
+    of: Mapping[str, str] = {}
+    interval: str = ""
+    raw: Sequence[str] = ("reducer", "second_reducer", "participant", "stimulus", "recording")
 
-
-TEMPLATES = Path(__file__).parents[1] / "templates" / "words"
+    def make_rows(self, records: Records, **fixed: Any) -> Iterator[Row]:  # noqa: ANN401 - keys, numbers
+        """Make a row of every quantity of every record."""
+        for record in records.to_dict("records") if hasattr(records, "to_dict") else records:
+            own = {key: record[name] for key, name in self.of.items()}
+            for quantity, told in self.rows.items():
+                names, _, interval = told.removeprefix("?").partition(" | ")
+                ends = dict(zip((*ENDS, "note"), names.split(), strict=False))
+                if told.startswith("?") and ends["value"] not in record:
+                    continue
+                interval = interval or self.interval
+                row = {"interval": INTERVALS.get(interval, interval), **fixed, **own}
+                row |= {end: record[name] for end, name in ends.items() if name != "-"}
+                yield make_row(quantity, **row)
 
 
 @cache
-def read_tables(key: str) -> tuple[TableForm, ...]:
-    """Read the tables of a section from the TOML that opens its template."""
-    head = (TEMPLATES / f"{key}.j2").read_text(encoding="utf-8").partition("#}")[0]
+def read_declared(key: str) -> tuple[Mapping[str, TableForm], Mapping[str, Mapping[str, Any]]]:
+    """Read the tables and the figures of a section from the TOML that opens its template."""
+    head = (TEMPLATES / "words" / f"{key}.j2").read_text(encoding="utf-8").partition("#}")[0]
     declared = tomllib.loads(head.partition("\n")[2])
-    return tuple(
-        TableForm(name, **one | {"columns": [Column(*column) for column in one["columns"]]})
-        for name, one in declared.items()
-    )
+    figures = declared.pop("figures", {})
+    tables = {}
+    for name, one in declared.items():
+        for part in ("rows", "of"):  # names alone: those of the record
+            if isinstance(names := one.get(part, {}), list):
+                one[part] = dict(zip(names, names, strict=True))
+        one["columns"] = [Column(*column) for column in one.get("columns", ())]
+        tables[name] = TableForm(name, **one)
+    return tables, figures
 
 
 def show_table(form: TableForm, rows: Sequence[Row]) -> dict[str, Any]:
-    """Pivot rows: one line for each combination of keys, one column for each quantity, with interval and p beside.
-
-    Examples
-    --------
-    >>> form = TableForm("r", "How well.", {"scale": "Ratings"}, [Column("r", "r", p="p")])
-    >>> show_table(form, [make_row("r", 0.5, low=0.1, high=0.8, p=0.02, scale="mushra")])["rows"]
-    [('MUSHRA', '0.50', '0.10 to 0.80', '0.020')]
-    """
+    """Pivot rows: one line for each combination of keys, one column for each quantity, with interval and p beside."""
     known = {column.quantity for column in form.columns}
     rows = [row for row in rows if row["quantity"] in known]
     keys = {
@@ -177,15 +152,14 @@ def show_table(form: TableForm, rows: Sequence[Row]) -> dict[str, Any]:
         own = [line[column.quantity] for line in lines.values() if column.quantity in line]
         if column.kind == "note":
             texts.add(len(heads))
-        if own:
-            heads.append(column.head)
-            shown.append((column, "value"))
+        parts = {"value": column.head} if own else {}
         if any(math.isfinite(row["low"]) for row in own):
-            heads.append(f"{'90' if own[0]['interval'].startswith('90') else '95'} % interval")
-            shown.append((column, "interval"))
+            is_90 = own[0]["interval"].startswith("90")
+            parts["interval"] = f"{'90' if is_90 else '95'} % interval"
         if own and column.p:
-            heads.append(column.p)
-            shown.append((column, "p"))
+            parts["p"] = column.p
+        heads += parts.values()
+        shown += [(column, part) for part in parts]
     body = [
         (
             *(name if key in form.raw else format_name(name) for key, name in zip(keys, place, strict=True)),
@@ -197,17 +171,57 @@ def show_table(form: TableForm, rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _show_cell(row: Row | None, kind: str, part: str) -> str:
-    if row is None:
-        return ""
-    if kind == "note":
-        return str(row["note"])
+    if row is None or kind == "note":
+        return "" if row is None else str(row["note"])
     if part == "p":
         return format_number(row["p"], kind="p")
     value, interval = format_estimate(row["value"], row["low"], row["high"], kind=kind)
     return value if part == "value" else interval
 
 
-# Figures and sections.
+MEANINGS = {
+    "quantity": "what the number is",
+    "value": "the number",
+    "low": "lower end of the interval",
+    "high": "upper end of the interval",
+    "p": "probability, adjusted where the quantity says so",
+    "n": "how many judgements, stimuli or participants it rests on",
+    "interval": "kind of interval",
+    "note": "a word in the place of a number, or what is unusual",
+    "status": "confirmatory or exploratory",
+}
+DESCRIBED = {
+    "file": "file that the column is in",
+    "column": "name of the column",
+    "quantity": "in the column value: the quantity that is described",
+    "type": "number, integer or text",
+    "meaning": "what the column holds",
+}
+"""The dictionary's own columns."""
+
+
+def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
+    """Describe every column and every quantity of every table."""
+    import pandas as pd
+
+    forms = {form.name: form for section in sections for form in section.tables.values()}
+    kinds = dict.fromkeys(ENDS, "number") | {"n": "integer"}
+    rows = []
+    for name, frame in frames.items():
+        form = forms.get(name, TableForm(name))
+        heads = {key: head.lstrip("?").lower() for key, head in form.keys.items()} | MEANINGS
+        known = {one.quantity: one.meaning for one in form.columns}
+        for column in map(str, frame):
+            meaning = heads.get(column, column.replace("_", " "))
+            rows.append([f"{name}.csv", column, "", kinds.get(column, "text"), meaning])
+        for quantity in frame["quantity"].unique():
+            meaning = known.get(quantity) or quantity.replace("_", " ")
+            rows.append([f"{name}.csv", "value", quantity, "number", meaning])
+    rows += [[DICTIONARY, column, "", "text", meaning] for column, meaning in DESCRIBED.items()]
+    return pd.DataFrame(rows, columns=list(DESCRIBED))
+
+
+# What a section finds.
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,47 +242,6 @@ class Picture:
         return self.drawing() if callable(self.drawing) else self.drawing
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """What a section found: rows by table, facts for its words, figures, notes; verdicts and clauses for the front.
-
-    facts: decisions and rows that the section's template puts into words. verdicts: one record per slope, for programs.
-    clauses: what the headline says of it, where no verdict does. notes: what was left out or assumed.
-    """
-
-    rows: Mapping[str, Sequence[Row]] = field(default_factory=dict)
-    facts: Mapping[str, Any] = field(default_factory=dict)
-    pictures: Sequence[Picture] = ()
-    notes: Sequence[str] = ()
-    verdicts: Sequence[Row] = ()
-    clauses: Sequence[str] = ()
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether there is nothing to be shown."""
-        return not (any(self.rows.values()) or self.facts or self.pictures)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Section:
-    """A section of the report, declared.
-
-    key: its name in paths, anchors and of its template in ``templates/words``. question: key of the question that it
-    answers. compute: takes all ratings and the choices. front: whether its first sentence stands on the first page.
-    """
-
-    key: str
-    title: str
-    question: str
-    compute: Callable[[Table, Choices], Found]
-    front: bool = True
-
-    @property
-    def tables(self) -> tuple[TableForm, ...]:
-        """The tables that its template declares."""
-        return read_tables(self.key)
-
-
 SLUG_PART = 40
 """Characters of a name that a file's name keeps."""
 
@@ -283,46 +256,97 @@ def make_slug(*parts: str) -> str:
     return "_".join(slugs)
 
 
-MEANINGS = {
-    "quantity": "what the number is",
-    "value": "the number",
-    "low": "lower end of the interval",
-    "high": "upper end of the interval",
-    "p": "probability, adjusted where the quantity says so",
-    "n": "how many judgements, stimuli or participants it rests on",
-    "interval": "kind of interval",
-    "note": "a word in the place of a number, or what is unusual",
-    "status": "confirmatory or exploratory",
-}
-KINDS = dict.fromkeys(("value", "low", "high", "p"), "number") | {"n": "integer"}
-DESCRIBED = {
-    "file": "file that the column is in",
-    "column": "name of the column",
-    "quantity": "in the column value: the quantity that is described",
-    "type": "number, integer or text",
-    "meaning": "what the column holds",
-}
-"""The dictionary's own columns."""
+@dataclass(slots=True, eq=False)
+class Found:
+    """What a section finds: rows by table, facts for its words, figures, notes; verdicts and clauses for the front.
+
+    facts: decisions and rows that the section's template puts into words. verdicts: one record per slope, for programs.
+    clauses: what the headline says of it, where no verdict does. notes: what was left out or assumed.
+    """
+
+    rows: dict[str, list[Row]] = field(default_factory=lambda: defaultdict(list))
+    facts: dict[str, Any] = field(default_factory=dict)
+    pictures: list[Picture] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    verdicts: list[Row] = field(default_factory=list)
+    clauses: list[str] = field(default_factory=list)
+    key: str = ""
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to be shown."""
+        return not (any(self.rows.values()) or any(self.facts.values()) or self.pictures)
+
+    def add(self, table: str, records: Records, **fixed: Any) -> None:  # noqa: ANN401 - keys, and what numbers share
+        """Add the rows of records to a table, as the section's template declares it."""
+        self.rows[table] += read_declared(self.key)[0][table].make_rows(records, **fixed)
+
+    def draw(self, figure: str, slug: str, *data: object, says: Row, **options: Any) -> None:  # noqa: ANN401 - of the kind
+        """Add a figure that the template declares, to be drawn of data; says: what its caption needs to know."""
+        declared = {**read_declared(self.key)[1][figure], **options}
+        kind, detail = f"draw_{declared.pop('kind')}", declared.pop("detail", False)
+
+        def draw() -> Figure:
+            kinds = import_module("feel321.analysis.figures.kinds")
+            drawn: Figure = getattr(kinds, kind)(*data, **declared)
+            return drawn
+
+        (caption,) = render_words(self.key, figure, **says)
+        self.pictures.append(Picture(slug, caption, draw, detail))
+
+    def claim(self, **facts: object) -> None:
+        """Add what the headline says, as the section's template puts it."""
+        self.clauses += render_words(self.key, "clause", **facts)
+
+    def attempt(
+        self, lead: str, compute: Callable[..., Anything], *given: Any, **options: Any  # noqa: ANN401 - what it takes
+    ) -> Anything | None:  # fmt: skip
+        """Compute something of what is given, or note behind a lead why it cannot be."""
+        try:
+            return compute(*given, **options)
+        except ValueError as error:
+            self.notes.append(f"{lead} {error}")
+        return None
 
 
-def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
-    """Describe every column and every quantity of every table."""
-    import pandas as pd
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A section of the report, declared.
 
-    forms = {form.name: form for section in sections for form in section.tables}
-    rows = []
-    for name, frame in frames.items():
-        form = forms.get(name, TableForm(name, "", {}, ()))
-        heads = {key: head.lstrip("?").lower() for key, head in form.keys.items()} | MEANINGS
-        known = {one.quantity: one.meaning for one in form.columns}
-        for column in map(str, frame):
-            meaning = heads.get(column, column.replace("_", " "))
-            rows.append([f"{name}.csv", column, "", KINDS.get(column, "text"), meaning])
-        for quantity in frame["quantity"].unique():
-            meaning = known.get(quantity) or quantity.replace("_", " ")
-            rows.append([f"{name}.csv", "value", quantity, "number", meaning])
-    rows += [[DICTIONARY, column, "", "text", meaning] for column, meaning in DESCRIBED.items()]
-    return pd.DataFrame(rows, columns=list(DESCRIBED))
+    key: its name in paths, anchors and of its template. question: key of the question that it answers. place: where
+    its function is, which takes all ratings and the choices. scales: it is about these only; all if empty.
+    front: whether its first sentence stands on the first page.
+    """
+
+    key: str
+    title: str
+    question: str
+    place: str
+    scales: Sequence[str] = ()
+    front: bool = True
+
+    @property
+    def tables(self) -> Mapping[str, TableForm]:
+        """The tables that its template declares."""
+        return read_declared(self.key)[0]
+
+    def compute(self, table: Table, choices: Choices) -> Found:
+        """Compute it, unless it is about nothing that was rated; its module is imported only then."""
+        if self.scales and not table.rows["scale"].isin(self.scales).any():
+            return Found(key=self.key)
+        module, _, name = self.place.partition(":")
+        found: Found = getattr(import_module(module), name)(table, choices)
+        return found
+
+
+FRONT = 4
+"""Scales and levels that a figure of the first page shows, so that it can be read on paper; the others follow."""
+
+
+def split_front(name: str, drawn: Sequence[Anything]) -> Iterator[tuple[str, Sequence[Anything]]]:
+    """Split what is drawn into a figure for the first page and one for the details, if it takes two."""
+    pairs = ((name, drawn[:FRONT]), (f"{name}_more", drawn[FRONT:]))
+    return (pair for pair in pairs if pair[1])
 
 
 def find_table_steps(table: Table) -> dict[str, Step]:
@@ -356,9 +380,9 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
 
     Of recordings, the first of every source is kept before the second of any.
     """
-    sources, left = find_sources(rows), rows
+    sources, left, sides = find_sources(rows), rows, ("participant", "recording")
     while is_large(left, n_slopes):
-        longer = max(("participant", "recording"), key=lambda name: left[name].nunique())
+        longer = max(sides, key=lambda name: left[name].nunique())
         names = sorted(left[longer].unique())
         half = len(names) // 2
         if half < FEWEST:
@@ -372,11 +396,9 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
     if len(left) == len(rows):
         return rows, ""
     told = " and ".join(
-        f"{left[name].nunique()} of {rows[name].nunique()} {name}s"
-        for name in ("participant", "recording")
+        f"{left[name].nunique()} of {rows[name].nunique()} {name}s" for name in sides
     )
-    why = f"{len(rows)} ratings are too many for one fit"
-    return left, f"mixed models use {told}, drawn at random: {why}."
+    return left, f"mixed models use {told}, drawn at random: {len(rows)} ratings are too many for one fit."  # fmt: skip
 
 
 def is_large(rows: DataFrame, n_slopes: int) -> bool:

@@ -68,27 +68,11 @@ class Hypothesis:
 class Standing:
     """What was declared before the ratings, and how the analysis compares with it.
 
-    Parameters
-    ----------
-    sentence : str
-        The state in one sentence, which opens the page.
-    state : str
-        ``none``: nothing was frozen; ``before``: frozen before the first rating; ``unsound``: the file cannot be
-        trusted; ``elsewhere``: the ratings are not those of the study.
-    hypotheses : tuple of Hypothesis
-        What was declared.
-    reason : str
-        Why no result is confirmatory; empty where the declared ones are.
-    changes : tuple of str
-        Every choice that differs from the frozen one, as "NAME: was ..., now ...".
-    frozen_utc, sha256 : str
-        When it was frozen, and the digest of ``frozen.json``; empty where nothing was.
-
-    Examples
-    --------
-    >>> from feel321.results import About
-    >>> About("pilot").standing.state
-    'none'
+    sentence: the state in one sentence, which opens the page. state: ``none``: nothing was frozen; ``before``: frozen
+    before the first rating; ``unsound``: the file cannot be trusted; ``elsewhere``: the ratings are not the study's.
+    hypotheses: what was declared. reason: why no result is confirmatory; empty where the declared ones are. changes:
+    every choice that differs from the frozen one, as "NAME: was ..., now ...". frozen_utc, sha256: when it was frozen,
+    and the digest of ``frozen.json``; empty where nothing was.
     """
 
     sentence: str = "No hypotheses were frozen before the data, so all results are exploratory (feel321 freeze)."
@@ -100,18 +84,7 @@ class Standing:
     sha256: str = ""
 
     def judge(self, *place: str | None) -> tuple[str, str]:
-        """Judge a slope by scale, level and metric.
-
-        Parameters
-        ----------
-        *place : str
-            Scale, level and metric.
-
-        Returns
-        -------
-        tuple of str
-            ``confirmatory`` or ``exploratory``, and why the latter.
-        """
+        """Judge a slope by scale, level and metric: ``confirmatory`` or ``exploratory``, and why the latter."""
         if self.reason:
             return EXPLORATORY, self.reason
         if place not in {one.place for one in self.hypotheses}:
@@ -119,32 +92,13 @@ class Standing:
         return CONFIRMATORY, ""
 
     def mark(self, table: str, row: Mapping[str, Any]) -> str:
-        """Mark a row of the frame.
-
-        Parameters
-        ----------
-        table : str
-            The table that it is in.
-        row : Mapping
-            The row.
-
-        Returns
-        -------
-        str
-            ``confirmatory`` or ``exploratory``.
-        """
+        """Mark a row of a table of the frame as ``confirmatory`` or ``exploratory``."""
         if table != "slopes" or row["quantity"] not in TESTED:
             return EXPLORATORY
         return self.judge(row["scale"], row["level"], row["metric"])[0]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``results.json`` holds.
-
-        Returns
-        -------
-        dict
-            The fields, with hypotheses in words.
-        """
+        """Return the fields, with hypotheses in words: what ``results.json`` holds."""
         named = ("sentence", "state", "reason", "frozen_utc", "sha256", "changes")
         told = {"hypotheses": [str(one) for one in self.hypotheses]}
         return {name: getattr(self, name) for name in named} | told
@@ -154,22 +108,8 @@ class Standing:
 class About:
     """What a report's first screen says of the study.
 
-    Parameters
-    ----------
-    name : str
-        Its name.
-    date : str
-        Day of the last rating, as 2026-03-01; empty if unknown.
-    protocols : tuple of str
-        Its protocols, in the order in which the report shows their scales.
-    standing : Standing
-        What was declared before the ratings.
-
-    Examples
-    --------
-    >>> from feel321.results import About
-    >>> About("pilot", "2026-03-01").date
-    '2026-03-01'
+    date: day of the last rating, as 2026-03-01; empty if unknown. protocols: in the order in which the report shows
+    their scales.
     """
 
     name: str = ""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -15,17 +15,17 @@ from feel321.analysis import words
 from feel321.analysis.association.correlate import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template, render_words
-from feel321.analysis.report import answer, correlations, pairs, primary, raters, reducers
+from feel321.analysis.report import answer
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.folder import DETAILS, PAGE, ResultsFolder, list_files
-from feel321.analysis.report.section import FIXED, Found, Row, Section
+from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_files, write_folder
+from feel321.analysis.report.section import FIXED, Found, Row, Section, make_row
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
-from feel321.analysis.table.schema import RECAST
-from feel321.doors import announce, as_seed, follow
+from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
+from feel321.doors import announce, as_path, as_seed, follow
 from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
 
@@ -49,57 +49,41 @@ QUESTIONS: Mapping[str, str] = {
 }
 """Anchor of each question -> how it is put; sections name the one that they answer."""
 
-SECTIONS: tuple[Section, ...] = tuple(
-    sorted(
-        chain.from_iterable(
-            one.SECTIONS for one in (primary, correlations, reducers, pairs, raters)
-        ),
-        key=lambda section: list(QUESTIONS).index(section.question),
-    )
-)
-"""The one list of a report's sections: a module lists its own, and each names its question."""
+PLACE = "feel321.analysis.report"
+SECTIONS = (
+    Section("primary", "Change in rating with each metric, within recordings", "predict", f"{PLACE}.primary:compute"),
+    Section("rivals", "Which metric predicts best?", "predict", f"{PLACE}.primary:compute_rivals"),
+    Section("metrics", "Correlations of mean ratings with metrics", "predict", f"{PLACE}.correlations:compute"),
+    Section("further", "Further metrics, explored", "predict", f"{PLACE}.correlations:compute_further", front=False),
+    Section("levels", "Level arms compared", "differ", f"{PLACE}.reducers:compute_levels"),
+    Section("reducers", "Ratings per reducer", "differ", f"{PLACE}.reducers:compute_profile"),
+    Section("contrasts", "Reducers against each other", "differ", f"{PLACE}.reducers:compute_contrasts"),
+    Section("choices", "Choices between two stimuli", "differ", f"{PLACE}.pairs:compute_choices", CHOSEN),
+    Section("discrimination", "Telling stimuli apart (ABX)", "apart", f"{PLACE}.pairs:compute_discrimination",
+            (ANSWERED,)),
+    Section("told_apart", "One axis against three", "apart", f"{PLACE}.pairs:compute_told_apart", (PAIRED,)),
+    Section("space", "The space of what was felt", "apart", f"{PLACE}.pairs:compute_space", (PAIRED,)),
+    Section("delivered", "Delivered vibration", "trust", f"{PLACE}.raters:compute_delivered"),
+    Section("raters", "Raters", "trust", f"{PLACE}.raters:compute"),
+    Section("robustness", "Robustness to other choices", "hinge", f"{PLACE}.primary:compute_robustness"),
+    Section("standard", "For comparison with the literature", "computed", f"{PLACE}.correlations:compute_standard",
+            front=False),
+)  # fmt: skip
+"""The one list of a report's sections, by question."""
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Results(Result):
     """A report as data.
 
-    Parameters
-    ----------
-    headline : str
-        The finding in one sentence.
-    verdicts : tuple of Mapping
-        The answer for programs: one per scale, level and metric, with verdict (``predicts``, ``open`` or
-        ``not_estimable``), direction, the units that it hinges on, and status.
-    cards : tuple of Mapping
-        What the page opens with: of every verdict the effect, the correlation and the noise ceiling.
-    numbers : DataFrame
-        Every number: table, quantity, its keys (scale, level, metric, ...), value, low, high, p, n, interval, note and
-        status.
-    answers : Mapping of str to tuple of str
-        What each section shows, in words, by its key.
-    figures : Mapping of str to str
-        Caption of each figure, by file name without suffix.
-    captions : Mapping of str to str
-        What each table shows, by file name without suffix.
-    notes : tuple of str
-        What was left out or assumed.
-    how : tuple of str
-        How it was computed.
-    files : tuple of str
-        Every file of the report, relative to its folder: what a later report may replace.
-    simulated : bool
-        Whether any rating came from a simulated participant.
-    inputs : Mapping of str to str
-        File names and digests, seed and draws.
-    versions : Mapping of str to str
-        Software that computed it.
-    about : Mapping of str to str
-        Name of the study, and the day of the last rating, if known.
-    standing : Standing
-        What was declared before the ratings, and whether that makes results confirmatory.
-    path : Path
-        The report's folder.
+    headline: the finding in one sentence. verdicts: the answer for programs: one per scale, level and metric, with
+    verdict (``predicts``, ``open`` or ``not_estimable``), direction, the units that it hinges on, and status. cards: of
+    every verdict the effect, the correlation and the noise ceiling. numbers: every number: table, quantity, its keys,
+    value, low, high, p, n, interval, note and status. answers: what each section shows, in words, by its key. figures,
+    captions: caption of each figure and of each table, by file name. notes: what was left out or assumed. how: how it
+    was computed. files: every file, relative to the folder: what a later report may replace. inputs, versions: file
+    names and digests, seed and draws; software. about: name of the study, day of the last rating. standing: what was
+    declared before the ratings. path: the folder.
     """
 
     headline: str
@@ -120,33 +104,15 @@ class Results(Result):
     path: Path = Path()
 
     def to_frame(self) -> DataFrame:
-        """Return every number of the report.
-
-        Returns
-        -------
-        DataFrame
-            A copy of the numbers, one row each.
-        """
+        """Return a copy of every number of the report, one row each."""
         return self.numbers.copy()
 
     def summary(self) -> str:
-        """Write the answer, a line per finding.
-
-        Returns
-        -------
-        str
-            The headline, and the first sentence of every section.
-        """
+        """Write the headline, and the first sentence of every section."""
         return "\n".join([self.headline, *(lines[0] for lines in self.answers.values() if lines)])
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``results.json`` holds.
-
-        Returns
-        -------
-        dict
-            A number that is not defined is None; a row has only the keys that its table has.
-        """
+        """Return what ``results.json`` holds; a row has only the keys that its table has."""
         told = {name: getattr(self, name) for name in self.__dataclass_fields__}
         del told["path"]
         rows = [
@@ -166,43 +132,34 @@ def _tidy(part: DataFrame, lead: Sequence[str] = ()) -> DataFrame:
     return part[[*lead, "quantity", *keys, *FIXED[1:], "status"]]
 
 
-# What decides a report.
-
-IN_MEMORY = "a table in memory"
-
-
 def describe_inputs(
-    given: Mapping[str, Path | DataFrame],
-    *,
-    table: Table,
-    further: Further | None,
-    choices: Choices,
-) -> dict[str, str]:
+    given: Mapping[str, Path | DataFrame], *, table: Table, further: Further | None, choices: Choices
+) -> dict[str, str]:  # fmt: skip
     """Describe everything that decides a report: files, choices and what was handed over, each with its digest."""
+
+    def digest(source: Path | DataFrame) -> str:
+        if isinstance(source, Path):
+            return hashlib.sha256(source.read_bytes()).hexdigest()
+        text = source.to_csv(float_format="%.17g", lineterminator="\n")
+        return hashlib.sha256(text.encode()).hexdigest()
+
     told: dict[str, str] = {}
     for role, source in given.items():
         if not isinstance(source, Path):
-            told |= {role: IN_MEMORY, f"{role}_sha256": _digest(source)}
+            told |= {role: "a table in memory", f"{role}_sha256": digest(source)}
         elif source.is_file() or role != "participants":
-            told |= {role: source.name, f"{role}_sha256": _digest(source)}
+            told |= {role: source.name, f"{role}_sha256": digest(source)}
     found = find_sources(table.rows)
     if not found.is_unique:
         told["sources"] = format_recordings(len(found), found.nunique())
-        told["sources_sha256"] = _digest(found.to_frame())
+        told["sources_sha256"] = digest(found.to_frame())
     if further is not None and not further.metrics.empty:
         told["further_metrics"] = ", ".join(map(str, further.metrics))
-        told["further_metrics_sha256"] = _digest(further.metrics.sort_index())
+        told["further_metrics_sha256"] = digest(further.metrics.sort_index())
     margin = "none" if choices.margin is None else str(choices.margin)
     told |= {"metrics": ", ".join(table.metrics), "draws": str(choices.draws), "margin": margin}
     told |= {"seed": str(choices.seed)}
     return told
-
-
-def _digest(source: Path | DataFrame) -> str:
-    if isinstance(source, Path):
-        return hashlib.sha256(source.read_bytes()).hexdigest()
-    text = source.to_csv(float_format="%.17g", lineterminator="\n")
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
@@ -275,27 +232,22 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> print(results.headline)  # doctest: +SKIP
     """
     chosen = Choices(draws=draws, margin=margin, seed=as_seed(rng))
-    with ResultsFolder(folder) as target, follow(progress or False, "report") as move:
-        choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
+    check_target(target := as_path(folder, "folder"))
+    choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
+    with follow(progress or False, "report") as move:
         table, given = _open(ratings_path, manifest_path, **choice)
         about = about or About()
         table = order_scales(table, about.protocols)
         inputs = describe_inputs(given, table=table, further=further, choices=chosen)
+        refuse_untested(table)
         with words.declaring(table.info):
-            found = _compute(table, chosen, move)
-            sections = list(SECTIONS)
+            found = _compute(table, chosen, paper=paper, move=move)
             if paper is not None:
-                from feel321.analysis.report.paper import make_section
-
                 inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
-                sections.insert(0, section := make_section(paper, found))
-                found = {section.key: section.compute(table, chosen), **found}
             announce("figures and pages")
-            results = gather_results(
-                table, sections, found, inputs=inputs, about=about, choices=chosen
-            )
-            _write(table, results, sections=sections, found=found, target=target)
-    return replace(results, path=target.path)
+            results = gather_results(table, found, inputs=inputs, about=about, choices=chosen)
+            _write(table, results, found=found, target=target)
+    return replace(results, path=target)
 
 
 def _open(
@@ -333,23 +285,33 @@ def order_scales(table: Table, protocols: Sequence[str]) -> Table:
     return replace(table, rows=rows.loc[order].reset_index(drop=True))
 
 
-def _compute(table: Table, chosen: Choices, move: Callable[[int, int], None]) -> dict[str, Found]:
-    """Compute section after section."""
+Everything = Mapping[Section, Found]
+"""What every section found, in the order of the pages."""
+
+
+def _compute(
+    table: Table, chosen: Choices, *, paper: Paper | None, move: Callable[[int, int], None]
+) -> Everything:
+    """Compute section after section; the paper's questions, which need what others found, come first on the pages."""
     import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
     from threadpoolctl import threadpool_limits
 
-    refuse_untested(table)
-    found: dict[str, Found] = {}
+    found: dict[Section, Found] = {}
     # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
     # times as long on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
         for number, section in enumerate(SECTIONS, start=1):
             announce(section.title.lower())
-            found[section.key] = section.compute(table, chosen)
+            found[section] = section.compute(table, chosen)
             move(number, len(SECTIONS))
-    if "metrics" in found:
-        panels = found["metrics"].facts.get("panels", ())
-        answer.reconcile(panels, [one for own in found.values() for one in own.verdicts])
+        by_key = {section.key: one for section, one in found.items()}
+        if paper is not None:
+            from feel321.analysis.report.paper import compute
+
+            section = Section("paper", QUESTIONS["paper"], "paper", f"{PLACE}.paper:compute")
+            found = {section: compute(table, chosen, paper=paper, others=by_key), **found}
+    panels = by_key.get("metrics", Found()).facts.get("panels", ())
+    answer.reconcile(panels, [one for own in found.values() for one in own.verdicts])
     return found
 
 
@@ -357,27 +319,25 @@ def _compute(table: Table, chosen: Choices, move: Callable[[int, int], None]) ->
 
 
 def gather_results(
-    table: Table, sections: Sequence[Section], found: Mapping[str, Found], *, inputs: Mapping[str, str], about: About,
-    choices: Choices,
-) -> Results:  # fmt: skip
+    table: Table, found: Everything, *, inputs: Mapping[str, str], about: About, choices: Choices
+) -> Results:
     """Gather what ``results.json`` holds."""
-    standing, shown = about.standing, [one for one in sections if not found[one.key].is_empty]
+    standing = about.standing
+    shown = {section: one for section, one in found.items() if not one.is_empty}
+    by_key = {section.key: one for section, one in found.items()}
 
     def mark(one: Row) -> Row:
         status, reason = standing.judge(*(one[key] for key in answer.PLACE))
         return {**one, "status": status, "reason": reason}
 
-    cards = [mark(card) for card in answer.make_cards(found)]
-    answers = {one.key: render_words(one.key, **found[one.key].facts) for one in shown}
+    cards = [mark(card) for card in answer.make_cards(by_key)]
+    answers = {one.key: render_words(one.key, **shown[one].facts) for one in shown}
     first = [lines[0] for lines in answers.values() if lines]
     headline = (*first, "These ratings do not answer the question.")[0]
-    if clauses := answer.list_clauses(cards, found):
+    if clauses := answer.list_clauses(cards, by_key):
         (headline,) = render_words("headline", clauses=clauses)
     pictures = [picture for one in found.values() for picture in one.pictures]
-    frame = make_frame(table, found, standing)
-    how: list[str] = []
-    for one in shown:
-        how += render_words(one.key, "how", draws=choices.draws)
+    frame = make_frame(table, found.values(), standing)
     return Results(
         headline=headline,
         verdicts=tuple(mark(one) for own in found.values() for one in own.verdicts),
@@ -386,13 +346,12 @@ def gather_results(
         answers=answers,
         figures={picture.name: picture.caption for picture in pictures},
         captions={
-            form.name: form.caption
-            for one in shown
-            for form in one.tables
-            if found[one.key].rows.get(form.name)
+            form.name: form.caption for one in shown for form in _list_shown(one, shown[one])
         },
-        notes=tuple(_gather_notes(table, found)),
-        how=tuple(how),
+        notes=tuple(_gather_notes(table, found.values())),
+        how=tuple(
+            text for one in shown for text in render_words(one.key, "how", draws=choices.draws)
+        ),
         files=list_files([one.name for one in pictures], frame["table"].unique(), (PAGE, DETAILS)),
         simulated=bool(table.rows["simulated"].any()),
         inputs=inputs,
@@ -402,13 +361,18 @@ def gather_results(
     )
 
 
-def make_frame(table: Table, found: Mapping[str, Found], standing: Standing) -> DataFrame:
+def _list_shown(section: Section, found: Found) -> list[parts.TableForm]:
+    forms = section.tables.values()
+    return [form for form in forms if form.caption and found.rows.get(form.name)]
+
+
+def make_frame(table: Table, found: Iterable[Found], standing: Standing) -> DataFrame:
     """Make the frame: every number of the report, one row each."""
     import pandas as pd
 
     tables = {"sizes": count_table(table)}
-    for one in found.values():
-        tables |= {name: list(rows) for name, rows in one.rows.items() if rows}
+    for one in found:
+        tables |= {name: rows for name, rows in one.rows.items() if rows}
     rows = [
         {"table": name, **row, "status": standing.mark(name, row)}
         for name, own in tables.items()
@@ -429,18 +393,18 @@ def count_table(table: Table) -> list[Row]:
     names = ("n_participants", "n_recordings", "n_stimuli", "n_reducers", "n_scales")
     sizes = {name: rows[column].nunique() for name, column in zip(names, columns, strict=True)}
     sizes |= {"n_sources": find_sources(rows).nunique(), "n_judgements": len(rows)}
-    return parts.count_rows(sizes | {"n_simulated": int(rows["simulated"].sum())}, n=len(rows))
+    sizes |= {"n_simulated": int(rows["simulated"].sum())}
+    return [make_row(name, size, n=len(rows)) for name, size in sizes.items()]
 
 
-def _gather_notes(table: Table, found: Mapping[str, Found]) -> Iterator[str]:
+def _gather_notes(table: Table, found: Iterable[Found]) -> Iterator[str]:
     """List what was left out or assumed: names in words, and what several ratings share said once."""
     rows = table.rows
     scales, levels = rows["scale"].unique(), rows["level"].unique()
     names = [*scales, RECAST, *levels, *table.metrics, *table.further, *table.rivals, *RULES]
     arms = sorted({f"{scale}, {level}" for scale in scales for level in levels})
     told: dict[str, list[str]] = {}
-    notes = chain(table.notes, *(one.notes for one in found.values()))
-    for note in dict.fromkeys(notes):
+    for note in dict.fromkeys(chain(table.notes, *(one.notes for one in found))):
         lead = next((arm for arm in arms if re.match(rf"{re.escape(arm)}[,:; ]", note)), "")
         told.setdefault(note[len(lead) :], []).append(lead)
     for rest, leads in told.items():
@@ -453,40 +417,37 @@ def _gather_notes(table: Table, found: Mapping[str, Found]) -> Iterator[str]:
 # Pages and files.
 
 
-def _write(
-    table: Table, results: Results, *, sections: Sequence[Section], found: Mapping[str, Found], target: ResultsFolder,
-) -> None:  # fmt: skip
+def _write(table: Table, results: Results, *, found: Everything, target: Path) -> None:
     """Draw the figures, and write pages, tables and ``results.json``."""
-    target.draw(picture for one in found.values() for picture in one.pictures)
-    shown = [_show(one, results, found[one.key]) for one in sections if one.key in results.answers]
+    shown = [
+        {
+            "key": section.key, "title": section.title, "question": section.question, "front": section.front,
+            "lines": results.answers[section.key], "pictures": one.pictures,
+            "tables": [parts.show_table(form, one.rows[form.name]) for form in _list_shown(section, one)],
+            "confirmatory": sum(row["status"] == words.CONFIRMATORY for row in results.verdicts if one.verdicts),
+        }
+        for section, one in found.items() if section.key in results.answers
+    ]  # fmt: skip
     blocks = [
         {"key": key, "title": title, "sections": [one for one in shown if one["question"] == key]}
         for key, title in QUESTIONS.items()
     ]
-    fronts = [block for block in blocks if block["sections"] and block["key"] != "computed"]
-    lead = next((one for one in found.get("metrics", Found()).pictures if not one.detail), None)
-    told = [text for one in found.values() for text in one.clauses]
-    sizes = {row["quantity"]: row["value"] for row in count_table(table)}
-    common: dict[str, Any] = {"results": results, "sizes": sizes, "title": TITLE}
-    frames = {str(name): _tidy(part) for name, part in results.numbers.groupby("table", sort=False)}
-    target.write(
-        results.to_dict(),
-        page=lambda drawings: render_template(
-            "report.html", blocks=fronts, drawings=drawings, lead=lead, others=told, **common
-        ),
-        details=render_template("details.html", blocks=blocks, **common),
-        tables=frames | {"dictionary": parts.describe_tables(sections, frames)},
-    )
-
-
-def _show(section: Section, results: Results, found: Found) -> dict[str, Any]:
-    """Gather what the pages show of a section."""
-    verdicts = results.verdicts if found.verdicts else ()
-    return {
-        "key": section.key, "title": section.title, "question": section.question, "front": section.front,
-        "lines": results.answers[section.key], "pictures": found.pictures,
-        "tables": [
-            parts.show_table(form, found.rows[form.name]) for form in section.tables if found.rows.get(form.name)
-        ],
-        "confirmatory": sum(one["status"] == words.CONFIRMATORY for one in verdicts),
+    common: dict[str, Any] = {
+        "results": results, "title": TITLE,
+        "sizes": {row["quantity"]: row["value"] for row in count_table(table)},
     }  # fmt: skip
+    pictures = [picture for one in found.values() for picture in one.pictures]
+    front: dict[str, Any] = {
+        "blocks": [block for block in blocks if block["sections"] and block["key"] != "computed"],
+        "lead": next((one for one in pictures if one.name == "scatter"), None),
+        "others": [text for one in found.values() for text in one.clauses],
+    }  # fmt: skip
+    frames = {str(name): _tidy(part) for name, part in results.numbers.groupby("table", sort=False)}
+    write_folder(
+        target,
+        results.to_dict(),
+        page=lambda drawings: render_template("report.html", drawings=drawings, **front, **common),
+        details=render_template("details.html", blocks=blocks, **common),
+        pictures=pictures,
+        tables=frames | {"dictionary": parts.describe_tables([*found], frames)},
+    )

@@ -51,15 +51,7 @@ class Candidate(NamedTuple):
 def list_candidates(
     reducers: Mapping[str, Reducer], *, windows_ms: Sequence[float] = ()
 ) -> list[Candidate]:
-    """List reducers, and those with a window also with other windows.
-
-    Examples
-    --------
-    >>> from feel321.stimuli.reducers.registry import REDUCERS
-    >>> few = {"dft321_windowed": REDUCERS["dft321_windowed"]}
-    >>> [one.name for one in list_candidates(few, windows_ms=(20, 35))]
-    ['dft321_windowed', 'dft321_windowed@20ms']
-    """
+    """List reducers, and those with a window also with other windows."""
     found = []
     for name, reducer in reducers.items():
         found.append(Candidate(name, name, reducer))

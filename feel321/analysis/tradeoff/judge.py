@@ -32,6 +32,10 @@ from feel321.doors import check_name
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
 
+    from feel321.analysis.table.items import Table
+
+Row = Mapping[str, Any]
+
 TOLERANCE_DB = 1.0
 """Ours. Published difference limens for the intensity of vibration lie between 0.4 and 2.3 dB (Craig 1972,
 doi:10.3758/BF03210362; Gescheider et al. 1990, doi:10.1121/1.399300): 1 dB is in the cautious half, because
@@ -82,16 +86,9 @@ SAME_DB = 1e-6
 class Context:
     """Where a reducer is to run, and what is good enough.
 
-    Parameters
-    ----------
-    online : bool
-        Whether the reducer runs while the vibration is being made.
-    latency_ms : float, optional
-        The longest delay online, of reducer, block and device together, in ms; 45 if left out.
-    mounting : {"any", "recorded"}
-        Whether advice must hold however the sensor is mounted, or for the mounting that was recorded.
-    tolerance_db : float
-        How far from the best is as good, in dB of energy.
+    online: whether it runs while the vibration is being made. latency_ms: the longest delay online, of reducer, block
+    and device together; 45 if left out. mounting: "any" or "recorded": what advice must hold for. tolerance_db: how far
+    from the best is as good, in dB of energy.
     """
 
     online: bool = False
@@ -110,9 +107,8 @@ class Context:
         if given is not None and not self.online:
             raise ValueError(f"latency_ms must be left out offline, got {given:g}; set online=True")
         if given is not None and not OVERHEAD_MS <= given < math.inf:
-            raise ValueError(
-                f"latency_ms must be at least {OVERHEAD_MS:.1f}, which block and device alone take, got {given:g}"
-            )
+            least = f"{OVERHEAD_MS:.1f}, which block and device alone take"
+            raise ValueError(f"latency_ms must be at least {least}, got {given:g}")
 
     @property
     def room_ms(self) -> float:
@@ -148,8 +144,7 @@ def judge_reducers(frame: DataFrame, context: Context, people: DataFrame) -> Dat
     tied = np.round(table["shortfall_db"] / SAME_DB)
     rank = [*RANK[context.online], "tied"]
     ordered = table.assign(tied=tied, place=np.arange(len(table))).sort_values([*rank, "place"])
-    groups = ordered.groupby(["kind", "recording"], sort=False)
-    ordered["order"] = groups.cumcount() + 1
+    ordered["order"] = ordered.groupby(["kind", "recording"], sort=False).cumcount() + 1
     return ordered.drop(columns=["tied", "place"]).sort_index(kind="stable").reset_index(drop=True)
 
 
@@ -261,25 +256,18 @@ def choose(
     best = min(rows, key=order_failing)
     gain = one[f"{one['criterion']}_db"] - best[f"{one['criterion']}_db"]
     if gain > SAME_DB and not best["fails"] and best["shortfall_db"] < one["shortfall_db"]:
-        chosen |= {
-            "better": best["reducer"],
-            "better_criterion": one["criterion"],
-            "better_db": gain,
-        }
+        chosen |= {"better": best["reducer"], "better_criterion": one["criterion"]}
+        chosen["better_db"] = gain
     return chosen
 
 
-def order_failing(row: Mapping[str, Any]) -> tuple[bool, bool, float]:
+def order_failing(row: Row) -> tuple[bool, bool, float]:
     """Order reducers by how near they come: who is not rated worse and does not fail, then the shortfall."""
     return row["people"] == "worse", row["fails"] != "", row["shortfall_db"]
 
 
 def _list_doubts(
-    one: Mapping[str, Any],
-    running: list[dict[str, Any]],
-    *,
-    facts: Mapping[str, float],
-    context: Context,
+    one: Row, running: list[dict[str, Any]], *, facts: Mapping[str, float], context: Context
 ) -> list[str]:
     """List why another take could reverse the choice: who is near a limit, and whether no direction leads."""
     tolerance, doubts = context.tolerance_db, []
@@ -293,3 +281,87 @@ def _list_doubts(
     if facts.get("eigenvalue_ratio", 0.0) > NO_LEADER:
         doubts.append(f"no direction leads (λ₂/λ₁ = {facts['eigenvalue_ratio']:.2f})")
     return doubts
+
+
+# What people's ratings say of the reducers of each recording, if a margin was fixed beforehand: a model of ratings of a
+# recording on reducer, with a spread between participants. *Equivalent* to the one rated highest: two one-sided tests
+# place the difference within the margin. *Worse*: the 90 % interval of the difference lies beyond it. *Open* otherwise:
+# "not significantly different" shows nothing. On several scales and levels the least favourable counts.
+
+NEEDED = ("participant", "recording", "reducer", "scale", "level", "rating")
+COLUMNS = ("recording", "reducer", "agree", "best", "difference", "low", "high", "simulated")
+
+BEST, EQUIVALENT, OPEN, WORSE = "best", "equivalent", "open", "worse"
+FAVOUR = (BEST, EQUIVALENT, OPEN, WORSE)
+"""What ratings say of a reducer, from the most favourable on."""
+
+SIGNIFICANCE = 0.05
+
+
+def compare_rated(ratings: Table | DataFrame | None, *, margin: float | None = None) -> DataFrame:
+    """Compare the reducers of every recording with the best-rated: one row each; none without ratings or margin."""
+    import pandas as pd
+
+    from feel321.analysis.table.items import split_arms
+
+    found: list[dict[str, Any]] = []
+    rows = None if ratings is None else read_ratings(ratings)
+    if margin is not None and not (math.isfinite(margin) and margin > 0):
+        raise ValueError(f"margin must be a number of points above 0, got {margin:g}")
+    if rows is not None and margin is not None:
+        for part in split_arms(rows):
+            scenes = part.rows["recording"].astype(str)
+            for recording, own in part.rows.groupby(scenes, sort=False):
+                found += [{"recording": str(recording), **one} for one in _compare(own, margin)]
+    frame = pd.DataFrame(found, columns=list(COLUMNS))
+    place = frame["agree"].map({name: number for number, name in enumerate(FAVOUR)})
+    order = frame.assign(place=place).sort_values("place", kind="stable")
+    worst = order.groupby(["recording", "reducer"], sort=False).tail(1)
+    return worst.drop(columns="place").reset_index(drop=True)
+
+
+def read_ratings(ratings: Table | DataFrame) -> DataFrame:
+    """Take ratings of test stimuli; of a data frame every row is one, and nobody simulated, if not said."""
+    from feel321.analysis.arrays import check_columns
+    from feel321.analysis.table import items
+
+    if isinstance(ratings, items.Table):
+        return items.select_tests(ratings)
+    rows, _ = items.leave_rejected(items.name_items(items.open_ratings(ratings)))
+    check_columns(rows, NEEDED, "ratings")
+    return rows.assign(simulated=rows.get("simulated", False))
+
+
+def _compare(rows: DataFrame, margin: float) -> list[dict[str, Any]]:
+    """Compare the reducers of one recording; of fewer than two there is nothing to compare."""
+    from feel321.analysis.contrasts.compare import equivalence
+    from feel321.analysis.mixed.model import contrast, fit_mixed
+
+    named, keys = rows.astype({"reducer": str}), ["participant", "reducer"]
+    data = named.groupby(keys, observed=True)["rating"].mean().reset_index()
+    means = data.groupby("reducer")["rating"].mean()
+    if len(means) < 2:  # noqa: PLR2004 - one reducer has no other
+        return []
+    best = str(means.idxmax())
+    codes = {name: f"c{number}" for number, name in enumerate(means.index)}
+    data["which"] = data["reducer"].map(codes)
+    try:
+        fit = fit_mixed("rating ~ 0 + which + (1 | participant)", data)
+    except ValueError:  # too few ratings leave no error to test with
+        fit = None
+    found = []
+    for name, code in codes.items():
+        row = {"reducer": name, "agree": BEST if name == best else OPEN, "best": best}
+        row["simulated"] = bool(rows["simulated"].any())
+        row["difference"] = float(means[name] - means[best])
+        found.append(row)
+        if fit is None or name == best:
+            continue
+        one = contrast(fit, {f"which{code}": 1, f"which{codes[best]}": -1})
+        if 0 < one.se < math.inf:
+            test = equivalence(one.estimate, one.se, one.df, low=-margin, high=margin)
+            row |= {"difference": one.estimate, "low": test.low90, "high": test.high90}
+            row["agree"] = WORSE if test.high90 < -margin else OPEN
+            if test.p < SIGNIFICANCE:
+                row["agree"] = EQUIVALENT
+    return found

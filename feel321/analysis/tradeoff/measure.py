@@ -189,9 +189,8 @@ def measure_tradeoff(  # noqa: PLR0913 - every choice that changes the numbers h
     if not chosen:
         raise ValueError("reducers must be one or more, got none; leave them out to take all")
     candidates = list_candidates(chosen, windows_ms=windows_ms)
-    scope = Scope(
-        candidates, METRICS.choose(metrics), THOROUGH if thorough else QUICK, as_seed(rng)
-    )
+    effort = THOROUGH if thorough else QUICK
+    scope = Scope(candidates, METRICS.choose(metrics), effort, as_seed(rng))
     jobs: list[Job] = [(measure_recording, (one, scope), {}) for one in known]
     if thorough:
         jobs += [(_measure_scene, (name, scope), {}) for name in BATTERY]
@@ -238,11 +237,8 @@ def measure_recording(recording: Recording, scope: Scope) -> list[Row]:
     announce(recording.name)
     about = (recording.name, "", RECORDED)
     felt = felt_level(recording) if recording.rate_hz >= 2 * LOWEST_HZ else 0.0
-    rows = [
-        make_row(about, "rate_hz", recording.rate_hz),
-        make_row(about, "duration_s", recording.duration_s),
-        make_row(about, "felt_level", felt),
-    ]
+    known = {"rate_hz": recording.rate_hz, "duration_s": recording.duration_s, "felt_level": felt}
+    rows = [make_row(about, *one) for one in known.items()]
     if felt == 0 or recording.duration_s < SHORTEST_S:
         return rows
     piece = take_strongest(recording, scope.effort.longest_s)
@@ -399,15 +395,11 @@ class Stage:
                 before = reduced
                 reduced = self._reduce(candidate, turned)
                 own, change = self._whole.score_felt(reduced), find_change(output, reduced)
-                treats_alike = treats_alike or (
-                    number == 1 and find_change(before, reduced) <= SAME**2
-                )
+                alike = number == 1 and find_change(before, reduced) <= SAME**2
+                treats_alike = treats_alike or alike
                 turns_along = treats_alike and change <= SAME**2
-            found = {
-                **own,
-                **self._whole.score_along(turned, reduced),
-                "change_db": _change_db(change),
-            }
+            found = own | self._whole.score_along(turned, reduced)
+            found["change_db"] = _change_db(change)
             for name, value in found.items():
                 scores.setdefault(name, []).append(value)
         return scores

@@ -17,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 from feel321 import __version__
 from feel321.analysis.figures import style
+from feel321.analysis.page import render_words
+from feel321.analysis.report.folder import PageParts, PageResult
 from feel321.analysis.report.section import Picture
 from feel321.analysis.tradeoff.battery import BATTERY
 from feel321.analysis.tradeoff.judge import (
@@ -24,12 +26,11 @@ from feel321.analysis.tradeoff.judge import (
     RATINGS,
     Context,
     choose,
+    compare_rated,
     judge_reducers,
     list_rows,
 )
 from feel321.analysis.tradeoff.measure import MOUNTED
-from feel321.analysis.tradeoff.people import compare_rated
-from feel321.analysis.tradeoff.results import PageParts, PageResult
 from feel321.analysis.words import capitalise, format_count, format_name, join_words
 from feel321.names import METRIC_INFO
 
@@ -55,6 +56,7 @@ GROUPS: Mapping[str, str] = MappingProxyType({
 """Single axes -> their one row: over all mountings of the sensor they are equal."""
 
 PANEL_CM = 6.2
+TICKS = (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000)
 CAPTION = (
     "Accuracy against time. Accuracy: mean over mountings of the sensor, median over recordings. Time: relative to the "
     "four FFTs that no transform in the frequency domain can do without. Hollow: fails on at least one of the "
@@ -66,22 +68,10 @@ CAPTION = (
 class Tradeoff(PageResult):
     """Speed against accuracy, where reducers fail, and the simplest sufficient one for every recording.
 
-    Parameters
-    ----------
-    frame : DataFrame
-        What was measured.
-    verdicts : DataFrame
-        Every reducer on every recording and scene: what it needs, what it fails by, whether it depends on the mounting,
-        how far it is behind the best, and whether it suffices.
-    choices : DataFrame
-        Every recording: the simplest sufficient reducer, what is wrong with the best simpler one, and what a better one
-        would gain.
-    people : DataFrame
-        What ratings say of each reducer; empty without ratings or margin.
-    context : Context
-        Where the reducer is to run, and what is good enough.
-    simulated : bool
-        Whether any of the ratings come from simulated participants.
+    frame: what was measured. verdicts: every reducer on every recording and scene: what it needs, what it fails by,
+    whether it depends on the mounting, how far it is behind the best, and whether it suffices. choices: every
+    recording: the simplest sufficient reducer, what is wrong with the best simpler one, and what a better one would
+    gain. people: what ratings say of each reducer; empty without ratings or margin.
     """
 
     frame: DataFrame
@@ -106,9 +96,8 @@ class Tradeoff(PageResult):
         judged = [one for one in list_rows(self.choices) if not one["problem"]]
         where = "the recording" if len(judged) == 1 else f"all {len(judged)} recordings"
         if self.common:
-            simpler = sum(
-                self.common[0] not in (one["answer"], *one["ties"].split()) for one in judged
-            )
+            answers = [(one["answer"], *one["ties"].split()) for one in judged]
+            simpler = sum(self.common[0] not in names for names in answers)
             more = f"; for {simpler} of them a simpler one is enough" if simpler else ""
             return f"{self.common[0]} suffices for {where}{more}."
         lacking = sum(not one["answer"] for one in judged)
@@ -116,23 +105,11 @@ class Tradeoff(PageResult):
         return f"No reducer suffices for {where}{more}."
 
     def to_frame(self) -> DataFrame:
-        """Return the choices.
-
-        Returns
-        -------
-        DataFrame
-            One row per recording.
-        """
+        """Return the choices, one row per recording."""
         return self.choices
 
     def summary(self) -> str:
-        """Write the choices for reading.
-
-        Returns
-        -------
-        str
-            One line per recording, and one for all.
-        """
+        """Write the choices for reading: one line per recording, and one for all."""
         lines = []
         for row in map(describe_choice, list_rows(self.choices)):
             parts = [row[name] for name in ("answer", "simpler", "close", "people")]
@@ -140,20 +117,9 @@ class Tradeoff(PageResult):
         return "\n".join([*lines, self.headline])
 
     def to_frames(self) -> dict[str, DataFrame]:
-        """Return everything as tables.
-
-        Returns
-        -------
-        dict of str to DataFrame
-            Measures, verdicts, choices, the points of the picture, and people where ratings were used.
-        """
-        points = place_points(self.frame, self.verdicts)
-        tables = {
-            "measures": self.frame,
-            "verdicts": self.verdicts,
-            "choices": self.choices,
-            "points": points,
-        }
+        """Return measures, verdicts, choices, the points of the picture, and people where ratings were used."""
+        tables = {"measures": self.frame, "verdicts": self.verdicts, "choices": self.choices}
+        tables["points"] = place_points(self.frame, self.verdicts)
         return tables | ({"people": self.people} if len(self.people) else {})
 
     def _make_page(self, tables: Mapping[str, DataFrame]) -> PageParts:
@@ -243,29 +209,18 @@ def place_points(frame: DataFrame, verdicts: DataFrame) -> DataFrame:
 
     own = frame[(frame["kind"] == "recording") & (frame["reducer"] != "")]
     own = own.assign(reducer=own["reducer"].map(find_group))
-    failing = set(
-        verdicts[(verdicts["kind"] == "recording") & (verdicts["fails"] != "")]["reducer"]
-    )
-    hollow = set(map(find_group, failing))
+    failing = verdicts[(verdicts["kind"] == "recording") & (verdicts["fails"] != "")]
+    hollow = set(failing["reducer"].map(find_group))
     costs = own[own["measure"] == "cost_ratio"].groupby("reducer", sort=False)["value"].median()
-    turned = own[(own["condition"] == MOUNTED) & ~own["measure"].isin(NOT_DRAWN)].dropna(
-        subset=["value"]
-    )
+    turned = own[(own["condition"] == MOUNTED) & ~own["measure"].isin(NOT_DRAWN)]
+    turned = turned.dropna(subset=["value"])
     rows: list[dict[str, Any]] = []
     for metric in dict.fromkeys([*SHOWN, *turned["measure"]]):
         part = turned[turned["measure"] == metric]
-        means = (
-            part
-            .groupby(["reducer", "recording"], sort=False)["value"]
-            .mean()
-            .groupby("reducer", sort=False)
-        )
-        placed = pd.DataFrame({
-            "cost_ratio": costs,
-            "accuracy": means.median(),
-            "lowest": means.min(),
-            "highest": means.max(),
-        })
+        means = part.groupby(["reducer", "recording"], sort=False)["value"].mean()
+        groups = means.groupby("reducer", sort=False)
+        placed = pd.DataFrame({"cost_ratio": costs, "accuracy": groups.median()})
+        placed = placed.assign(lowest=groups.min(), highest=groups.max())
         placed = placed.dropna().rename_axis("reducer").reset_index()
         placed["metric"] = metric
         placed["fails"] = placed["reducer"].isin(hollow)
@@ -284,9 +239,7 @@ def mark_frontier(points: list[dict[str, Any]], *, sign: int = 1) -> list[dict[s
     sound = [(one["cost_ratio"], -sign * one["accuracy"]) for one in points if not one["fails"]]
     for one in points:
         own = one["cost_ratio"], -sign * one["accuracy"]
-        beaten = any(
-            cost <= own[0] and loss <= own[1] and (cost, loss) != own for cost, loss in sound
-        )
+        beaten = any(two != own and two[0] <= own[0] and two[1] <= own[1] for two in sound)
         one["on_frontier"] = not (one["fails"] or beaten)
     return points
 
@@ -320,45 +273,17 @@ def _draw_panel(axes: Axes, points: DataFrame, looks: Mapping[str, style.Look]) 
     axes.margins(x=0.12, y=0.1)
     axes.axvline(1.0, color=style.PALE, linewidth=style.THIN, zorder=1)
     low, high = points["cost_ratio"].min() / 2, 2 * points["cost_ratio"].max()
-    ticks = [
-        tick for tick in (0.01, 0.03, 0.1, 0.3, 1, 3, 10, 30, 100, 300, 1000) if low <= tick <= high
-    ]
+    ticks = [tick for tick in TICKS if low <= tick <= high]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
 
 
 def describe_choice(one: Mapping[str, Any]) -> dict[str, str]:
     """Put a choice into words: the answer, why not simpler, what a better one would gain, doubts, people."""
-    if one["problem"]:
-        nothing = dict.fromkeys(("simpler", "better", "close", "people"), "")
-        return {**nothing, "recording": one["recording"], "answer": f"no advice: {one['problem']}"}
-    simpler = "nothing is simpler"
-    if one["simpler"]:
-        fault = f"is {one['simpler_db']:.1f} dB behind in {one['simpler_criterion']}"
-        if one["simpler_fails"]:
-            fault = f"fails ({one['simpler_fails'].replace(' ', ', ')})"
-        if one["simpler_fails"] == RATINGS:
-            fault = "would suffice, but people rate it lower"
-        simpler = f"{one['simpler']} {fault}"
-    tied = f" (as good: {one['ties'].replace(' ', ', ')})" if one["ties"] else ""
-    better = f"less than {LITTLE_DB:g} dB"
-    if one["better"] and one["better_db"] >= LITTLE_DB:
-        better = f"{one['better']}: {one['better_db']:.1f} dB in {one['better_criterion']}"
-    answer = f"{one['answer']}{tied}"
-    if not one["answer"]:
-        answer, simpler = f"nothing suffices; closest: {one['closest']}", ""
-    if one["barred"]:
-        better += f"; {one['barred']} is simpler and would suffice, but waits too long"
-    said = {
-        "best": "people rate it highest", "equivalent": "people agree: equivalent to the highest rated",
-        "open": "ratings do not show whether people agree", "worse": "people rate it lower", "": "",
-    }  # fmt: skip
-    # Where the simpler one is the doubt, its column says already how close it is.
-    close = one["close"] and "close call" + f": {one['close']}" * (one["close"] != simpler)
-    return {
-        "recording": one["recording"], "answer": answer, "simpler": simpler, "better": better, "close": close,
-        "people": said[one["people"]],
-    }  # fmt: skip
+    facts = {**one, "little": LITTLE_DB, "ratings": RATINGS}
+    parts = ("answer", "simpler", "better", "close", "people")
+    told = {part: " ".join(render_words("tradeoff", part, one=facts)) for part in parts}
+    return {"recording": one["recording"], **told}
 
 
 def list_reducers(result: Tradeoff, points: DataFrame) -> list[dict[str, Any]]:
@@ -368,9 +293,8 @@ def list_reducers(result: Tradeoff, points: DataFrame) -> list[dict[str, Any]]:
     answers = result.choices["answer"].map(find_group).value_counts()
     rows: dict[str, dict[str, Any]] = {}
     for place in sorted(list_rows(points), key=lambda one: one["cost_ratio"]):
-        row = rows.setdefault(
-            place["reducer"], {"reducer": place["reducer"], "cost_ratio": place["cost_ratio"]}
-        )
+        new = {"reducer": place["reducer"], "cost_ratio": place["cost_ratio"]}
+        row = rows.setdefault(place["reducer"], new)
         row[place["metric"]] = place["accuracy"]
     for name, row in rows.items():
         part = own[own["reducer"].map(find_group) == name]
@@ -381,14 +305,9 @@ def list_reducers(result: Tradeoff, points: DataFrame) -> list[dict[str, Any]]:
             "load": max((float(streams[one]) for one in members), default=math.nan),
             "turned": part[part["depends_on_mounting"]]["recording"].nunique(),
             "failing": failing["recording"].nunique(), "recordings": part["recording"].nunique(),
-            "fails": [_describe_failure(one, name) for one in list_rows(failing)],
+            "fails": [one | {"who": "" if one["reducer"] == name else one["reducer"]} for one in list_rows(failing)],
         }  # fmt: skip
     return list(rows.values())
-
-
-def _describe_failure(one: Mapping[str, Any], group: str) -> str:
-    who = "" if one["reducer"] == group else f"{one['reducer']} "
-    return f"{one['recording']}: {who}{one['fails'].replace(' ', ', ')}"
 
 
 def map_battery(verdicts: DataFrame) -> dict[str, Any]:
@@ -396,12 +315,11 @@ def map_battery(verdicts: DataFrame) -> dict[str, Any]:
     own = verdicts[verdicts["kind"] == "battery"]
     cells: dict[tuple[str, str], dict[str, Any]] = {}
     for one in list_rows(own):
-        cell = cells.setdefault(
-            (one["recording"], find_group(one["reducer"])), {"fails": "", "turned": False}
-        )
+        place = one["recording"], find_group(one["reducer"])
+        cell = cells.setdefault(place, {"fails": "", "turned": False})
         cell["fails"] = " ".join(dict.fromkeys(f"{cell['fails']} {one['fails']}".split()))
         cell["turned"] |= one["depends_on_mounting"]
-    scenes, reducers = (list(dict.fromkeys(key[place] for key in cells)) for place in (0, 1))
+    scenes, reducers = (list(dict.fromkeys(key[number] for key in cells)) for number in (0, 1))
     return {"scenes": scenes, "reducers": reducers, "cells": cells}
 
 
@@ -415,9 +333,8 @@ def list_notes(result: Tradeoff) -> list[str]:
         seconds, several = f"{wide['used_s'].max():.1f} s", format_count(len(cut), "recording")
         notes.append(f"Of {several} only the strongest part was used, up to {seconds}.")
     if not len(result.people):
-        notes.append(
-            "Ratings were not used: that takes rated reducers and a margin set beforehand ([analysis] margin)."
-        )
+        needs = "rated reducers and a margin set beforehand ([analysis] margin)"
+        notes.append(f"Ratings were not used: that takes {needs}.")
     return notes
 
 

@@ -19,11 +19,8 @@ if TYPE_CHECKING:
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 STIMULI = pd.DataFrame({
-    "stimulus_id": ["x", "y", "z"],
-    "recording": "oak",
-    "match": [0.9, 0.5, 0.1],
-    "distance": [1.0, 2.0, 2.0],
-})
+    "stimulus_id": ["x", "y", "z"], "recording": "oak", "match": [0.9, 0.5, 0.1], "distance": [1.0, 2.0, 2.0],
+})  # fmt: skip
 
 
 def vote(*rows: tuple[str, str, str, int]) -> pd.DataFrame:

@@ -126,14 +126,9 @@ REDUCED = {
 
 
 SLOW = {
-    "one participant",
-    "one recording",
-    "one rater alike",
-    "everyone once",
-    "own recording each",
-    "extreme",
+    "one participant", "one recording", "one rater alike", "everyone once", "own recording each", "extreme",
     "alike",
-}
+}  # fmt: skip
 """Those that have a mixed model, which is fitted many times over."""
 
 

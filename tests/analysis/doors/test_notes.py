@@ -143,11 +143,8 @@ def test_labels_of_participants_are_joined(files: Callable[..., object]) -> None
     study = files(participants=3, scales=("realism",))
     roster_path = study.ratings.with_name("participants.csv")
     people = pd.DataFrame({
-        "participant": ["p00", "p01", "q"],
-        "grip": ["pen", "fist", ""],
-        "number": 1,
-        "level": "x",
-    })
+        "participant": ["p00", "p01", "q"], "grip": ["pen", "fist", ""], "number": 1, "level": "x",
+    })  # fmt: skip
     people.to_csv(roster_path, index=False)
     table = read_table(study.ratings, study.manifest)
     assert table.rows.groupby("participant")["grip"].first().to_dict() == {

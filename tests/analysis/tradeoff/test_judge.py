@@ -94,11 +94,8 @@ def test_depending_on_the_mounting_is_no_failure() -> None:
 
 def test_a_choice_says_what_is_wrong_with_the_simpler_and_what_a_better_one_would_gain() -> None:
     result = judge({
-        "poor": {"level_db": -6.0},
-        "near": {"motion_db": 1.6},
-        "one": {"motion_db": 0.4},
-        "best": {},
-    })
+        "poor": {"level_db": -6.0}, "near": {"motion_db": 1.6}, "one": {"motion_db": 0.4}, "best": {},
+    })  # fmt: skip
     (choice,) = result.choices.to_dict("records")
     assert (choice["answer"], choice["simpler"], choice["simpler_criterion"]) == (
         "one",

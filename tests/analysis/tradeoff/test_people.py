@@ -6,8 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.tradeoff.judge import compare_rated
 from feel321.analysis.tradeoff.page import advise_tradeoff
-from feel321.analysis.tradeoff.people import compare_rated
 from tests.analysis.tradeoff.made import make_frame
 
 MEANS = {"best": 80.0, "alike": 79.5, "unsure": 75.0, "worse": 50.0}
