@@ -25,13 +25,13 @@ from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
 from feel321.doors import announce
 from feel321.files import write_text
 from feel321.names import MATCHES
-from feel321.stimuli.condition import Conditioning, condition
+from feel321.stimuli.condition import condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.rivals import RIVALS, measure_batch
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe, Unread, read_given
+from feel321.stimuli.sets.recipe import Recipe, Unread, find_conditioning, read_given
 from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.checkpoints import declaring
@@ -214,7 +214,7 @@ def measure_rivals(recordings: Given, stimuli: StimulusSet, recipe: Recipe) -> p
         made[one.recording].add(one.reducer)
 
     def measure(given: Recording | Unread) -> dict[tuple[str, str], dict[str, float]]:
-        ready = condition(read_given(given), recipe.conditioning)
+        ready = condition(read_given(given), find_conditioning(recipe, given.name))
         signal, rate_hz = ready.acceleration, ready.rate_hz
         found = {}
         for name in made[ready.name]:
@@ -351,7 +351,7 @@ def compute_rotations(
     turns = random_rotations(n_turns, np.random.default_rng(seed))
 
     def match(given: Recording | Unread) -> np.ndarray:
-        ready = condition(read_given(given), recipe.conditioning)
+        ready = condition(read_given(given), find_conditioning(recipe, given.name))
         return match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
 
     # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
@@ -401,11 +401,11 @@ def gather_recordings(
     """
     study = StudyFolder(folder) if scenes or extra else require_study(folder)
     found: list[Recording] = []
-    steps = Conditioning()
+    recipe = Recipe()
     if study.settings.is_file():
         settings = read_settings(study.settings)
         found = open_recordings(settings, folder)
-        steps = make_recipe(settings, folder).conditioning
+        recipe = make_recipe(settings, folder)
     n_own = len(found)
     others = [make_scene(name) for name in SCENES] if scenes else []
     for one in (*others, *map(read_recording, extra)):
@@ -417,8 +417,9 @@ def gather_recordings(
     ready, mistakes = list[Recording](), list[str]()
     for place, recording in enumerate(found):
         try:
-            crop_s = steps.crop_s if place < n_own else None
-            ready.append(condition(recording, replace(steps, crop_s=crop_s)))
+            uncropped = replace(recipe.conditioning, crop_s=None)
+            own = find_conditioning(recipe, recording.name) if place < n_own else uncropped
+            ready.append(condition(recording, own))
         except ValueError as error:
             mistakes.append(f"recording {recording.name!r}: {error}")
     if mistakes:

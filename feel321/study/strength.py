@@ -110,12 +110,18 @@ def _find_out_of_reach(settings: Settings) -> Iterator[str]:
 
 def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
     """Describe by which gains stimuli are played, and what one recording's peak costs the others."""
-    played = [one for one in played if one.role != ANCHOR]  # they have no say in the gain
+    own = {name: one["gain"] for name, one in recipe.exceptions.items() if "gain" in one}
+    # Anchors have no say in the gain, nor have recordings with a gain of their own.
+    played = [one for one in played if one.role != ANCHOR and one.recording not in own]
     gains = [one.gain for one in played if one.level == "as_is"]
     scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
     how = f"gain, {scope.get(str(recipe.gain), 'as given in study.toml')}"
     lines = [f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how]
-    if recipe.gain != ONE_GAIN:
+    if own:
+        lines.append(
+            f"gain of its own: {', '.join(f'{name} {gain:g}' for name, gain in own.items())}"
+        )
+    if recipe.gain != ONE_GAIN or not played:
         return lines
     loudest: dict[str, tuple[float, str]] = {}
     for one in played:

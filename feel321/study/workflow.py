@@ -19,7 +19,7 @@ from feel321.stimuli.condition import condition
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets import build as sets
 from feel321.stimuli.sets.manifest import StimulusSet, check_stimuli, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe
+from feel321.stimuli.sets.recipe import Recipe, find_conditioning
 from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
@@ -160,7 +160,7 @@ def _examine(
             found = sets.survey_recording(recording, known, recipe=recipe)
             faults += [found.fault] if found.fault else []
             if not found.fault:
-                felt = condition(recording, recipe.conditioning).acceleration
+                felt = condition(recording, find_conditioning(recipe, source.name)).acceleration
                 own, covariance = found, np.asarray(np.einsum("in,jn->ij", felt, felt))
         seen.append((own, covariance))
         if progress:
@@ -181,9 +181,12 @@ def _foresee(
     items = [
         Item(one.stimulus_id, one.recording, one.reducer, one.level, one.role) for one in foreseen
     ]
-    crop_s = settings.stimuli.conditioning.crop_s
     facts = [one for one, _ in seen if not one.fault]
-    durations = {one.name: crop_s[1] - crop_s[0] if crop_s else one.duration_s for one in facts}
+    crops = {one.name: find_conditioning(recipe, one.name).crop_s for one in facts}
+    durations = {
+        one.name: crop[1] - crop[0] if (crop := crops[one.name]) else one.duration_s
+        for one in facts
+    }
     with suppress(ValueError):  # what keeps trials from being made is found by itself
         length = measure_design(design, items, durations=durations, groups=groups)
         note = f"{SETTINGS_FILE}: {length.describe()}"

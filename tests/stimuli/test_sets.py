@@ -132,6 +132,30 @@ def test_an_anchor_never_sets_a_gain_and_is_kept_inside_the_headroom(gain: float
         assert found == {"test": common, "fits": common, "high": 0.1}
 
 
+def test_a_recording_may_have_a_crop_a_corner_and_a_gain_of_its_own(tmp_path: Path) -> None:
+    drag = make_scene("texture_drag", duration_s=0.6)
+    soft, loud = replace(drag, name="soft"), replace(drag, name="loud")
+    own = {"soft": {"crop_s": (0.1, 0.4), "high_pass_hz": 100.0}, "loud": {"gain": 0.25}}
+    recipe = Recipe(reducers=("sax321",), levels=BOTH, anchors=False)
+    plain = build_stimuli([drag, soft, loud], tmp_path / "plain", recipe)
+    made = build_stimuli([drag, soft, loud], tmp_path / "own", recipe, exceptions=own)
+    assert made["soft__sax321__as_is"].duration_s == pytest.approx(0.3)
+    assert made["loud__sax321__as_is"].gain == made["loud__reference__as_is"].gain == 0.25
+    assert made["texture_drag__sax321__as_is"].gain == plain["texture_drag__sax321__as_is"].gain
+    levels = {one.sensation_level_db for one in made if one.level == "equal_intensity"}
+    assert max(levels) - min(levels) < 0.01
+    samples, rate_hz = made.read("soft__sax321__as_is")
+    energy = np.abs(np.fft.rfft(samples)) ** 2
+    low = np.fft.rfftfreq(len(samples), 1 / rate_hz) < 60
+    whole = np.abs(np.fft.rfft(plain.read("soft__sax321__as_is")[0])) ** 2
+    assert energy[low].sum() / energy.sum() < 0.05 * whole[: 2 * low.sum()].sum() / whole.sum()
+    said = json.loads((tmp_path / "own" / "manifest.json").read_text(encoding="utf-8"))
+    assert said["recipe"]["exceptions"]["loud"] == {"gain": 0.25}
+    assert "high-pass 100 Hz" in said["conditioning"]["soft"]
+    with pytest.raises(ValueError, match="gain of loud must be a finite number above 0, got 0"):
+        Recipe(exceptions={"loud": {"gain": 0.0}})
+
+
 def test_a_gain_per_recording_spares_the_others_the_cost_of_a_spike(
     scenes: list[Recording], tmp_path: Path
 ) -> None:

@@ -33,7 +33,14 @@ from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.sets import render
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
-from feel321.stimuli.sets.recipe import Recipe, Unread, check_names, describe_recipe, read_given
+from feel321.stimuli.sets.recipe import (
+    Recipe,
+    Unread,
+    check_names,
+    describe_recipe,
+    find_conditioning,
+    read_given,
+)
 from feel321.stimuli.thresholds import sensation_level_db, to_db
 from feel321.stimuli.wav import encode_wav
 from feel321.types import PathLike, Progress, Samples
@@ -380,6 +387,8 @@ def _describe(
         "recipe": describe_recipe(recipe),
         **render.list_methods(recipe),
         "versions": {"feel321": __version__, **render.versions()},
-        "conditioning": {one.name: list_steps(recipe.conditioning, one.rate_hz) for one in facts},
+        "conditioning": {
+            one.name: list_steps(find_conditioning(recipe, one.name), one.rate_hz) for one in facts
+        },
         "sensation_levels_db": levels,
     }

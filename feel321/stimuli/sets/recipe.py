@@ -32,7 +32,7 @@ References
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
@@ -276,6 +276,8 @@ class Recipe:
         Random seed of the anchors, beside the names of recording and anchor.
     methods : sequence of Method
         The lab's own reducers and metrics, once they are found.
+    exceptions : mapping of str to mapping
+        Name of a recording -> its own `crop_s`, `high_pass_hz` or `gain` (a number, of the `as_is` arm).
 
     Examples
     --------
@@ -298,6 +300,7 @@ class Recipe:
     metrics: Sequence[Any] = ()
     seed: int = 0
     methods: Sequence[Method] = ()
+    exceptions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Find the lab's own methods; refuse unknown names and numbers out of range."""
@@ -354,6 +357,15 @@ class Recipe:
         check_rate(self.full_scale_m_s2, "full_scale_m_s2", " of m/s^2")
         number = not isinstance(self.gain, str | bool) and 0 < self.gain < float("inf")
         gains = "a finite number above 0, 'set' or 'per_recording'"
+        for recording, own in self.exceptions.items():
+            try:
+                find_conditioning(self, recording)
+            except ValueError as error:
+                raise ValueError(f"recording {recording!r}: {error}") from None
+            if not 0 < own.get("gain", 1.0) < float("inf"):
+                raise ValueError(
+                    f"gain of {recording} must be a finite number above 0, got {own['gain']}"
+                )
         rules = {
             "rate_hz": (whole, f"a whole number of Hz from {low} to {high}"),
             "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
@@ -365,11 +377,18 @@ class Recipe:
                 raise ValueError(f"{name} must be {must}, got {getattr(self, name)!r}")
 
 
+def find_conditioning(recipe: Recipe, recording: str) -> Conditioning:
+    """Find the steps of one recording: the recipe's, but for its own crop and corner."""
+    own = recipe.exceptions.get(recording, {})
+    return replace(recipe.conditioning, **{k: v for k, v in own.items() if k != "gain"})
+
+
 def describe_recipe(recipe: Recipe) -> dict[str, Any]:
     """Return what `manifest.json` records of a recipe, but for the lab's own methods."""
     own = {one.name: getattr(recipe, one.name) for one in fields(recipe) if one.name != "methods"}
-    if not recipe.metrics:  # as it was before there were any
-        del own["metrics"]
+    for name in ("metrics", "exceptions"):  # named where there are any
+        if not own[name]:
+            del own[name]
     return own | {"conditioning": asdict(recipe.conditioning)}
 
 

@@ -30,7 +30,14 @@ from feel321.stimuli.match import (
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.recipe import ANCHORS, GAIN_PER_RECORDING, NO_REFERENCE, ORIGINAL, Recipe
+from feel321.stimuli.sets.recipe import (
+    ANCHORS,
+    GAIN_PER_RECORDING,
+    NO_REFERENCE,
+    ORIGINAL,
+    Recipe,
+    find_conditioning,
+)
 from feel321.stimuli.thresholds import THRESHOLDS, loudest_levels, to_db
 from feel321.types import Metric, Reducer, Samples
 
@@ -111,7 +118,10 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     basis: dict[str, Any] = {"version": __version__, "recording": digest_samples(recording)}
     # What determines a file besides its gain; anchors are made as strong as their recording, by the threshold.
     settings = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
-    basis |= versions() | asdict(recipe.conditioning)
+    exceptions = recipe.exceptions.get(
+        recording.name, {}
+    )  # the same file may be there with two gains
+    basis |= versions() | asdict(find_conditioning(recipe, recording.name)) | exceptions
     basis |= {name: getattr(recipe, name) for name in settings}
     methods = list_methods(recipe)
     own = {name: entry["sha256"] for name, entry in methods.get("reducers", {}).items()}
@@ -192,7 +202,7 @@ def reduce_again(
 
 
 def _make_scale(recording: Recording, recipe: Recipe) -> _Scale:
-    conditioned = condition(recording, recipe.conditioning)
+    conditioned = condition(recording, find_conditioning(recipe, recording.name))
     spectrum = OriginalSpectrum(conditioned.acceleration, conditioned.rate_hz)
     if spectrum.reason:
         raise ValueError(f"{spectrum.reason}; nothing can be felt or matched, leave it out")
@@ -256,28 +266,26 @@ def choose_gains(
     measured: Mapping[str, Measured], recipe: Recipe, *, drafts: Mapping[str, Sequence[Draft]]
 ) -> dict[tuple[str, str], float]:
     """Choose gains, (level, key) -> gain, from what was measured; anchors never set one; drafts: of each recording."""
-    per_recording = recipe.gain == GAIN_PER_RECORDING
-    together = drafts.values() if per_recording else [[*chain(*drafts.values())]]
     room = recipe.headroom * recipe.full_scale_m_s2
-    choose = {"as_is": _keep_levels, "equal_intensity": _equalise_levels}
+    own = {name: one["gain"] for name, one in recipe.exceptions.items() if "gain" in one}
     gains: dict[tuple[str, str], float] = {}
-    for own in together:
-        notes = {one.key: measured[one.key] for one in own}
-        anchors = {one.key for one in own if one.role == ANCHOR}
-        for level in recipe.levels:
-            for key, gain in choose[level](notes, recipe, notes.keys() - anchors).items():
-                fits = min(gain, room / notes[key].peak) if key in anchors else gain
-                gains[level, key] = fits
+    for level in recipe.levels:
+        fixed = own if level == "as_is" else {}
+        groups = [([*drafts[name]], gain) for name, gain in fixed.items() if name in drafts]
+        shared = [[*one] for name, one in drafts.items() if name not in fixed]
+        together = shared if recipe.gain == GAIN_PER_RECORDING else [[*chain(*shared)]]
+        for group, gain in groups + [(one, recipe.gain) for one in together if one]:
+            notes = {one.key: measured[one.key] for one in group}
+            anchors = {one.key for one in group if one.role == ANCHOR}
+            if level == "as_is":
+                loudest = max(notes[key].peak for key in notes.keys() - anchors)
+                automatic = room / loudest if loudest else 1.0
+                chosen = dict.fromkeys(notes, automatic if isinstance(gain, str) else gain)
+            else:
+                chosen = _equalise_levels(notes, recipe, notes.keys() - anchors)
+            for key, one in chosen.items():
+                gains[level, key] = min(one, room / notes[key].peak) if key in anchors else one
     return gains
-
-
-def _keep_levels(
-    notes: Mapping[str, Measured], recipe: Recipe, deciding: Collection[str]
-) -> dict[str, float]:
-    loudest = max(notes[key].peak for key in deciding)
-    room = recipe.headroom * recipe.full_scale_m_s2
-    automatic = room / loudest if loudest else 1.0
-    return dict.fromkeys(notes, automatic if isinstance(recipe.gain, str) else recipe.gain)
 
 
 def _equalise_levels(

@@ -12,12 +12,13 @@ from functools import cache
 from math import isfinite
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
-from pydantic import TypeAdapter
 from pydantic_core import to_json
 
 from feel321.protocols.trial import DEVICE_FLAGS, FLAGS, LOST, MATCHING, SPOILED, VALID
 
 if TYPE_CHECKING:
+    from pydantic import TypeAdapter
+
     from feel321.protocols.trial import Flow, Trial
 
 E = TypeVar("E", bound="SessionEvent")
@@ -245,7 +246,9 @@ class Played:
 
     def __post_init__(self) -> None:
         """Take numbers of the many kinds that devices report, and none of those that are none."""
-        put = object.__setattr__  # of a frozen record, field by field: an audit reads tens of thousands
+        put = (
+            object.__setattr__
+        )  # of a frozen record, field by field: an audit reads tens of thousands
         for name in ("requested_s", "onset_s"):
             value = getattr(self, name)
             put(self, name, float(value) if value is not None and isfinite(value) else None)
@@ -342,6 +345,8 @@ def find_kind(name: str) -> type[SessionEvent]:
 @cache
 def make_adapter(kind: type[Any]) -> TypeAdapter[Any]:
     """Make what checks that JSON holds a record of a type."""
+    from pydantic import TypeAdapter
+
     return TypeAdapter(kind)
 
 

@@ -228,7 +228,8 @@ def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
     }
     steps = Conditioning(**settings.stimuli.conditioning.model_dump())
     rig, seed = settings.rig.of_stimuli(), settings.study.seed
-    return Recipe(conditioning=steps, **(stimuli | own), **rig, seed=seed)
+    exceptions = {one.title: one.exceptions for one in settings.recordings if one.exceptions}
+    return Recipe(conditioning=steps, **(stimuli | own), **rig, seed=seed, exceptions=exceptions)
 
 
 # Reducers and metrics of the lab's own, by the names that settings and the command line use.

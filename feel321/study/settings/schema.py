@@ -311,6 +311,9 @@ class RecordingTable(kinds.TomlTable):
     columns: tuple[str | kinds.Count, ...] | None = None
     full_scale: kinds.Positive | None = None
     resample: bool = False
+    crop_s: tuple[kinds.Seconds, kinds.Seconds] | None = None
+    high_pass_hz: kinds.PositiveOrOff = None
+    gain: Annotated[float, Field(ge=1e-6, le=1e6)] | None = None
 
     @model_validator(mode="after")
     def _check_kind(self) -> Self:
@@ -331,6 +334,12 @@ class RecordingTable(kinds.TomlTable):
         turned = "" if self.rotation is None else f"-r{self.rotation}"
         source = self.scene.replace("+", "-") if self.scene else PurePath(self.file or "").stem
         return self.name or f"{source}{turned}"
+
+    @property
+    def exceptions(self) -> dict[str, Any]:
+        """What is done to this recording otherwise than `[stimuli]` says."""
+        own = self.model_fields_set & {"crop_s", "high_pass_hz", "gain"}
+        return {name: getattr(self, name) for name in sorted(own)}
 
     def list_entries(self, folder: Path) -> list["RecordingTable"]:
         """List itself, or an entry for each file of a pattern, sorted by path relative to the study's folder."""
