@@ -121,7 +121,7 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     exceptions = recipe.exceptions.get(
         recording.name, {}
     )  # the same file may be there with two gains
-    basis |= versions() | asdict(find_conditioning(recipe, recording.name)) | exceptions
+    basis |= {**versions(), **asdict(find_conditioning(recipe, recording.name)), **exceptions}
     basis |= {name: getattr(recipe, name) for name in settings}
     methods = list_methods(recipe)
     own = {name: entry["sha256"] for name, entry in methods.get("reducers", {}).items()}
