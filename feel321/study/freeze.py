@@ -195,6 +195,8 @@ def describe_frozen(study: StudyFolder) -> str:
 
 def find_faults(study: StudyFolder) -> list[str]:
     """Find reasons to distrust the frozen file: edits, and sessions whose headers name another one, or none."""
+    if study.is_rehearsal:  # which may come before it
+        return []
     home = study.path / FROZEN_FILE
     try:
         frozen = read_frozen(study)

@@ -254,7 +254,7 @@ def read_participant(study: StudyFolder, folder: Path, known: Known) -> Progress
     known[folder] = before
     own = before[1]
     calls = [one.event for one in dossier.records if _is_call(one)]
-    if calls[-1:] == [DeviceFailed.event]:
+    if own.state != "released" and calls[-1:] == [DeviceFailed.event]:
         return replace(own, state=CALLED)
     is_left = own.state == "running" and not is_held(folder / LOCK_FILE)
     return replace(own, state="aborted") if is_left else own

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from datetime import UTC, datetime
 from shutil import rmtree
 from typing import TYPE_CHECKING
@@ -200,12 +201,15 @@ def test_a_file_made_later_does_not_pass_for_an_earlier_one(
     smallest: StudyFolder, rate: Callable[..., None]
 ) -> None:
     # With the sessions out of the way and the clock set back, a new file is whole in itself; the journals know better.
+    rehearsals = replace(smallest, is_rehearsal=True)
+    rate(rehearsals)
     rate(smallest)
     aside = smallest.sessions.rename(smallest.path / "aside")
     freeze(smallest)
     assert find_faults(smallest) == []
     aside.rename(smallest.sessions)
     assert find_faults(smallest)[0].endswith("whose header knows of no frozen file")
+    assert find_faults(rehearsals) == []
 
 
 def test_sessions_name_the_file_that_they_were_run_under(

@@ -118,9 +118,8 @@ def list_drafts(recording: Recording, recipe: Recipe) -> tuple[Draft, ...]:
     basis: dict[str, Any] = {"version": __version__, "recording": digest_samples(recording)}
     # What determines a file besides its gain; anchors are made as strong as their recording, by the threshold.
     settings = ("rate_hz", "fade_s", "full_scale_m_s2", "threshold")
-    exceptions = recipe.exceptions.get(
-        recording.name, {}
-    )  # the same file may be there with two gains
+    # The same file may be there twice, with two gains.
+    exceptions = recipe.exceptions.get(recording.name, {})
     basis |= {**versions(), **asdict(find_conditioning(recipe, recording.name)), **exceptions}
     basis |= {name: getattr(recipe, name) for name in settings}
     methods = list_methods(recipe)

@@ -46,7 +46,9 @@ def _pack(array: NDArray[Any]) -> str:
 
 
 def _unpack(text: object) -> NDArray[Any]:
-    array: NDArray[Any] = np.load(io.BytesIO(base64.b64decode(str(text))), allow_pickle=False)
+    stored = io.BytesIO(base64.b64decode(str(text)))
+    read: Any = np.lib.format.read_array  # which raises a ValueError whatever is wrong
+    array: NDArray[Any] = read(stored, allow_pickle=False)
     return array
 
 
@@ -194,9 +196,12 @@ class Certificate:
     def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
         """Find why the certificate is not valid for a rig today, one line each."""
         own, again = digest(rig), "run feel321 calibrate"
+        is_same = own == self.rig_sha256 and {one.name: one.channel for one in rig.actuators} == {
+            name: coil.channel for name, coil in self.coils.items()
+        }
         causes = {
             f"is of another rig (digest {self.rig_sha256[:12]}, this rig's is {own[:12]}); put the old rig.toml back, "
-            f"or {again}": own != self.rig_sha256,
+            f"or {again}": not is_same,
             f"was measured with another sensor, or another scale of it; put [sensor] back, or {again}": (
                 bool(self.sensor and rig.sensor) and rig.sensor != self.sensor
             ),

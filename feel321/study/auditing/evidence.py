@@ -179,7 +179,7 @@ def _compare_files(
             # The number was given back before anything was recorded.
             first = name.replace(PLAN_FILE, name_journal(1))
             is_back = not (root / name).parent.exists() and first not in past.base
-            if not (is_back or (now is None and is_open and name.startswith("sessions/"))):
+            if not is_back:
                 _judge(root, name, (one, mark, now), found=found, is_open=is_open)
 
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import json
 from contextlib import suppress
+from datetime import datetime
 from itertools import pairwise, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from feel321 import intake
 from feel321.doors import announce
 from feel321.files import digest_file
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
@@ -36,6 +38,16 @@ if TYPE_CHECKING:
 
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
+
+APART_S = 10.0  # how far the time of day and the presenter's clock may part between two records
+_CLOCKS_APART = {
+    kind.event for kind in (events.SessionBegun, events.SessionResumed, events.ClockStepped)
+}
+# In a pause or on a page the computer may sleep, and the presenter's clock with it.
+_CLOCKS_ASLEEP = {
+    kind.event
+    for kind in (events.PageRead, events.QuestionAnswered, events.TrialContinued, events.DeviceOpened)
+}  # fmt: skip
 
 
 def examine(
@@ -64,7 +76,7 @@ def examine(
     findings += [*find_doubles(holders), *_guard(study.path, find_data_left(study))]
     wrong, older = tables.compare()
     evidence = Evidence() if study.is_rehearsal else weigh(study, expect=expect, remotes=remotes)
-    remarks = [*evidence.remarks, *older, *describe_rigs(tables.people)]
+    remarks = [*evidence.remarks, *older, *_audit_inputs(study), *describe_rigs(tables.people)]
     remarks += [*_guard(study.path, list_stale(study)), *filter(None, [describe_frozen(study)])]
     every = dict.fromkeys([*findings, *wrong, *evidence.findings, *find_faults(study)])
     return Audit(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)
@@ -94,6 +106,20 @@ def _audit_details(stimuli: StimulusSet) -> Iterator[str]:
     if any(len({json.dumps(one, sort_keys=True) for one in pair}) > 1 for pair in pairs):
         text = "manifest.csv and manifest.json differ; one was changed, build the set again"
         yield f"{stimuli.folder}: {text}"
+
+
+def _audit_inputs(study: StudyFolder) -> Iterator[str]:
+    """Find which files that the report was made of are other ones now."""
+    path = study.report / "results.json"
+    try:
+        inputs = json.loads(intake.read_bytes(path))["inputs"]
+        made = {inputs[role]: inputs[f"{role}_sha256"] for role in ("ratings", "manifest")}
+    except (*MALFORMED, OSError, ValueError):
+        return
+    for own in (study.ratings, study.manifest):
+        if own.is_file() and made.get(own.name, "") not in {"", digest_file(own)}:
+            text = f"was computed from another {own.name} than the one here"
+            yield f"{path}: {text}; compute it anew: feel321 analyze"
 
 
 def _audit_participant(folder: Path, stimuli: StimulusSet | None, tables: Tables) -> Iterator[str]:
@@ -154,6 +180,7 @@ def _audit_journal(path: Path, plan: Plan, chains: dict[Path, Chain]) -> Iterato
         places = (
             find_misplaced(path, header, plan),
             _audit_header(header, plan, path),
+            _audit_clocks(header, chain.records),
             _audit_content(chain, plan, path.parent),
         )
         for findings in places:
@@ -178,6 +205,29 @@ def _audit_header(header: events.SessionBegun, plan: Plan, path: Path) -> Iterat
     for name in ("seed", "stimuli_sha256"):
         if (got := getattr(header, name)) != (planned := getattr(plan, name)):
             yield f", line 1: has {name} {got}, the plan says {planned}"
+
+
+def _audit_clocks(header: events.SessionBegun, records: Sequence[Record]) -> Iterator[str]:
+    """Find where the time of day and the presenter's clock part, and nothing says why."""
+    if header.identity.get("presenter", {}).get("simulated", True):
+        return  # Simulated participants have a clock of their own.
+    before, is_asleep = None, False
+    for record in records:
+        before = None if record.event in _CLOCKS_APART else before
+        is_asleep |= record.event in _CLOCKS_ASLEEP
+        # What was spoiled has the time of its onset, which may be long before its end.
+        is_onset = record.event == events.TrialSpoiled.event
+        if is_onset or not isinstance(record.data.get("time_s"), int | float):
+            continue
+        if before is not None:
+            day = datetime.fromisoformat(record.utc) - datetime.fromisoformat(before.utc)
+            day_s, own_s = day.total_seconds(), record.data["time_s"] - before.data["time_s"]
+            if own_s - day_s > APART_S or (day_s - own_s > APART_S and not is_asleep):
+                yield (
+                    f", line {record.sequence + 1}: {day_s:.0f} s after line {before.sequence + 1} by the time of day, "
+                    f"{own_s:.0f} s by the clock of the session, and nothing says why"
+                )
+        before, is_asleep = record, False
 
 
 def _audit_content(chain: Chain, plan: Plan, folder: Path) -> Iterator[str]:

@@ -246,12 +246,10 @@ class Played:
 
     def __post_init__(self) -> None:
         """Take numbers of the many kinds that devices report, and none of those that are none."""
-        put = (
-            object.__setattr__
-        )  # of a frozen record, field by field: an audit reads tens of thousands
-        for name in ("requested_s", "onset_s"):
-            value = getattr(self, name)
-            put(self, name, float(value) if value is not None and isfinite(value) else None)
+        put, onset_s = object.__setattr__, self.onset_s  # an audit reads tens of thousands
+        put(self, "requested_s", float(self.requested_s))
+        onset_s = None if onset_s is None or not isfinite(onset_s) else float(onset_s)
+        put(self, "onset_s", onset_s)
         for name in ("underruns", "clipped"):
             put(self, name, int(getattr(self, name)))
         put(self, "completed", bool(self.completed))

@@ -105,7 +105,7 @@ FORGED = [
     ({"own": 1}, "own"), ({"format": "9"}, "format"),
     *(({"target": gain}, "coils.left coil.target") for gain in (0, -1, "x", None, [1])),
     ({"full_scale_m_s2": 0}, "coils.left coil.full_scale_m_s2"),
-    ({"fir": "x"}, "coils.left coil.fir"), ({"fir": 5}, "coils.left coil.fir"),
+    *(({"fir": text}, "coils.left coil.fir") for text in ("", "x", "UEsDBA==", 5)),
 ]  # fmt: skip
 
 
@@ -157,6 +157,9 @@ def test_the_newest_valid_certificate_of_the_rig_is_found(tmp_path: Path) -> Non
         assert faulty[0] is None
         assert len(faulty[1]) == 1
         assert kind in faulty[1][0]
+    left, right = first.coils.values()
+    swapped = replace(first, coils={"left coil": right, "right coil": left})
+    assert "is of another rig" in swapped.find_faults(RIG, MADE)[0]
 
 
 def test_a_prediction_is_the_sum_of_the_coils_exact_filters() -> None:

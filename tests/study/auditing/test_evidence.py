@@ -289,6 +289,16 @@ def test_a_lost_journal_person_or_line_names_what_is_gone(study: StudyFolder) ->
     assert sum(text.startswith(f"{gone}/") and ": is gone since" in text for text in found) == 2
 
 
+def test_what_goes_while_a_withdrawal_has_begun_and_not_ended_is_remarked(
+    study: StudyFolder,
+) -> None:
+    take_checkpoint(study, "before withdraw", who="sim002", now=utc_now)
+    shutil.rmtree(gone := study.sessions / "sim002")
+    found = [one for one in examine(study).remarks if one.startswith(f"{gone}/")]
+    assert len(found) == 2
+    assert all("is gone" in one and one.endswith("by what did not end") for one in found)
+
+
 def rewind(study: StudyFolder) -> None:
     """Bring back what the folder was before, evidence too."""
     shutil.copytree(study.path, study.path.with_name("old"))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from feel321.files import digest_file
 from feel321.study.auditing.study import audit_journals, audit_study, examine
 from feel321.study.folder import StudyFolder
 from feel321.study.persons.withdrawal import withdraw_participant
@@ -18,7 +19,7 @@ from feel321.study.session.journal import create_journal, read_journal, utc_now
 from feel321.study.session.plan import POLICIES, Stale, require_plan
 from feel321.study.simulation import simulate_study
 from feel321.study.workflow import build_study
-from tests.study.auditing.cheats import chain, reseal
+from tests.study.auditing.cheats import chain, reseal, shift_times
 from tests.study.conftest import make_settings
 
 if TYPE_CHECKING:
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from feel321.study.session.journal import Record
+    from feel321.study.session.plan import Plan
 
     Present = Callable[..., list[Record]]
 
@@ -219,3 +221,27 @@ def test_who_comes_back_after_a_day_gives_no_finding(
         first.unlink()
         said = f"{second}: is there without {first.name} before it"
         assert list(audit_journals(folder, plan)) == [said]
+
+
+def test_a_time_of_day_that_parts_from_the_clock_of_a_session_with_a_person_is_found(
+    present: Present, scripted: type, plan: Plan, tmp_path: Path
+) -> None:
+    plan = replace(plan, simulated=False)
+    header, *others = present(scripted(), plan=plan)
+    own = [replace(header, data=header.data | {"presenter": {"simulated": False}}), *others]
+    path = tmp_path / "sessions" / "p01" / "session-01.jsonl"
+    chain(path, own)
+    assert list(audit_journals(path.parent, require_plan(path.with_name("plan.json")))) == []
+    chain(path, shift_times(own))
+    (found,) = audit_journals(path.parent, require_plan(path.with_name("plan.json")))
+    assert found.endswith("by the clock of the session, and nothing says why")
+
+
+def test_a_report_that_was_made_of_another_table_is_remarked(copy: StudyFolder) -> None:
+    copy.report.mkdir()
+    inputs = {"ratings": "ratings.csv", "ratings_sha256": "", "manifest": "manifest.csv"}
+    for sha256, count in ((digest_file(copy.manifest), 0), ("0" * 64, 1)):
+        told = {"inputs": inputs | {"manifest_sha256": sha256}}
+        (copy.report / "results.json").write_text(json.dumps(told), encoding="utf-8")
+        remarks = examine(copy).remarks
+        assert sum("was computed from another manifest.csv" in one for one in remarks) == count

@@ -156,6 +156,9 @@ def test_free_words_are_not_shown_and_who_is_called_for_stands_first(copied: Stu
     assert page.index(">sim001") < page.index(">sim002")
     add(copied, "page", key="call_us", time_s=100.0, stood_s=1.0)
     assert read_row(write_page(copied), "sim001")[1] == "finished"
+    add(copied, "device_failed", reason="lost", time_s=101.0)
+    add(copied, "released")
+    assert read_row(write_page(copied), "sim001")[1] == "released"
 
 
 def test_what_cannot_be_read_is_named_and_hides_nobody_else(copied: StudyFolder) -> None:
