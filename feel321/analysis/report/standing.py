@@ -1,6 +1,6 @@
 """What was declared before the ratings were seen, and which results it makes confirmatory.
 
-A result is confirmatory if its hypothesis (a slope on one scale and level) was frozen before the first session of a real
+A result is confirmatory if its hypothesis (a slope on one scale and level) was frozen before the first session of a
 person, and metrics, model, stimuli and rules about the data are those of the frozen file. All else is exploratory,
 which is no flaw: it means that the data may have suggested the question.
 """
