@@ -230,8 +230,8 @@ class Study:
     def audit(self, *, remotes: Sequence[str] = (), expect: str = "") -> Audit:
         """Verify plans, journals and stimuli; list every change.
 
-        Compares the journals with plans, tables and report, and the files with the checkpoints in .evidence and at
-        its remotes. What no checkpoint covers is not judged: recordings, personal answers, other results.
+        Compares the journals with plans and tables, and the files with the checkpoints in .evidence and at its
+        remotes. What no checkpoint covers is not judged: recordings, personal answers, other results.
 
         Example: feel321 audit my-study
                  feel321 audit my-study --remote /media/usb/evidence.git

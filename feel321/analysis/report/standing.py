@@ -1,6 +1,6 @@
 """What was declared before the ratings were seen, and which results it makes confirmatory.
 
-A result is confirmatory if its hypothesis (a slope on one scale and level) was frozen before the first rating of a real
+A result is confirmatory if its hypothesis (a slope on one scale and level) was frozen before the first session of a
 person, and metrics, model, stimuli and rules about the data are those of the frozen file. All else is exploratory,
 which is no flaw: it means that the data may have suggested the question.
 """
@@ -69,7 +69,7 @@ class Standing:
     """What was declared before the ratings, and how the analysis compares with it.
 
     sentence: the state in one sentence, which opens the page. state: ``none``: nothing was frozen; ``before``: frozen
-    before the first rating; ``unsound``: the file cannot be trusted; ``elsewhere``: the ratings are not the study's.
+    before the first session; ``unsound``: the file cannot be trusted; ``elsewhere``: the ratings are not the study's.
     hypotheses: what was declared. reason: why no result is confirmatory; empty where the declared ones are. changes:
     every choice that differs from the frozen one, as "NAME: was ..., now ...". frozen_utc, sha256: when it was frozen,
     and the digest of ``frozen.json``; empty where nothing was.

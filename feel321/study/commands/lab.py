@@ -46,7 +46,7 @@ def run(  # noqa: PLR0913 - one parameter per option
     lsl: Annotated[bool, about("Send onsets to the lab streaming layer.")] = False,
     rehearse: Annotated[bool, about("Stored in rehearsals/ and never analysed.")] = False,
     simulate_participant: Annotated[bool, about("A simulated participant presses keys.")] = False,
-    seed: Seed = None,
+    seed: Annotated[Seed, about("Of --simulate-participant; the study's by default.")] = None,
 ) -> int:
     """Run a session with a participant, or resume it.
 
@@ -410,7 +410,7 @@ def agree(folder: StudyFolder, rig: "Rig", proposed: "Certificate") -> bool:
     shared.echo("\n".join([*lines, *_find_cost(folder, rig, proposed)]), err=True)
     if sys.stdin is None or not sys.stdin.isatty():
         return True
-    asked = "Enter takes it; n stops: --redesign tries other settings of [calibration]."
+    asked = "Enter takes it; n stops: --redesign tries another max_gain_db of [calibration]."
     shared.echo(asked, err=True)
     return not sys.stdin.readline().strip().lower().startswith("n")
 

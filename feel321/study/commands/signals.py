@@ -36,6 +36,7 @@ RATE_TOLERANCE_HZ = 1.0
 
 Chosen = TypeVar("Chosen")
 OWN = "(a wrong name lists all), or your own: methods/my321.py:my321"
+OWN_METRIC = OWN.replace("my321", "snr")
 Raw = Annotated[bool, Parameter(help="As measured: no offset removed, all frequencies kept.")]
 
 
@@ -47,7 +48,7 @@ def reduce(  # noqa: PLR0913 - one per option
     out: Annotated[File, about("A .wav file; a JSON file goes beside it.", name=["--out", "-o"])],
     source: Reading = AS_IT_SAYS,
     raw: Raw = False,
-    force: Annotated[bool, about("Replace the out if it exists.")] = False,
+    force: Annotated[bool, about("Replace files that exist.")] = False,
     as_json: Json = False,
 ) -> None:
     """Reduce a recording to one axis.
@@ -99,7 +100,7 @@ def match(
     /,
     *,
     source: Reading = AS_IT_SAYS,
-    metric: Annotated[Several, about(f"Also this metric {OWN}; repeatable.")] = (),
+    metric: Annotated[Several, about(f"Also this metric {OWN_METRIC}; repeatable.")] = (),
     raw: Raw = False,
     as_json: Json = False,
 ) -> None:

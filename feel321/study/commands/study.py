@@ -91,7 +91,7 @@ def check(
 
     Example: feel321 check my-study
              feel321 check --method mylab.haptics:my321
-             feel321 check my-study --method methods/psnr.py:psnr --kind metric
+             feel321 check my-study --method methods/snr.py:snr --kind metric
     """
     if method is not None:
         return _check_method(study, method, kind, as_json=as_json)
@@ -184,7 +184,7 @@ Show = Annotated[bool, about("Only show what is frozen and what changed.")]
 
 
 def freeze(study: File = Path(), /, *, show: Show = False, as_json: Json = False) -> None:
-    """Freeze hypotheses, design and analysis before the first rating is seen.
+    """Freeze hypotheses, design and analysis before the first session of a person.
 
     Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
     confirmatory or exploratory, and names every setting that was changed. It may be written again until a person's
@@ -221,14 +221,17 @@ def freeze(study: File = Path(), /, *, show: Show = False, as_json: Json = False
 DEMO_PARTICIPANTS = 16
 
 
-def demo(*, out: Out = Path("demo-study")) -> None:
+Home = Annotated[File, about("Folder of the study.", name=["--out", "-o"])]
+
+
+def demo(*, out: Home = Path("demo-study")) -> None:
     """Run a whole study with simulated participants.
 
     Example: feel321 demo --out demo-study
     """
     from feel321.study.observer.model import NUMBERED
 
-    folder = StudyFolder(out or Path())
+    folder = StudyFolder(out)
     if not folder.path.exists() or not any(folder.path.iterdir()):
         Study.create(folder.path)
     # What is anything but the demonstration is left alone.
@@ -312,9 +315,9 @@ def export(
 ) -> None:
     """Write a study's data for others, into the folder DIR.
 
-    Writes a BIDS dataset for a repository: participants get random numbers; personal answers, typed texts, notes, days
-    and names of machines are left out. --r writes CSV files for R, JASP and jamovi, with the study's codes of
-    participants, and model.R, which fits the primary models with lme4.
+    Writes a BIDS dataset for a repository: participants get random numbers; answers to question pages, notes, days and
+    names of machines are left out. --r writes CSV files for R, JASP and jamovi, with the study's codes of participants,
+    and model.R, which fits the primary models with lme4.
 
     Example: feel321 export my-study dataset
              feel321 export my-study for-r --r
