@@ -47,7 +47,7 @@ def reduce(  # noqa: PLR0913 - one per option
     out: Annotated[File, about("A .wav file; a JSON file goes beside it.", name=["--out", "-o"])],
     source: Reading = AS_IT_SAYS,
     raw: Raw = False,
-    force: Annotated[bool, about("Replace the out if it exists.")] = False,
+    force: Annotated[bool, about("Replace the output if it exists.")] = False,
     as_json: Json = False,
 ) -> None:
     """Reduce a recording to one axis.
@@ -116,6 +116,8 @@ def match(
 
     further = {name_of(name): _choose(open_metric, name) for name in metric}
     read = source.read(recording)
+    if not reduced.exists():
+        raise FileNotFoundError(f"{reduced}: there is no such file; check the name")
     samples, rate_hz = read_wav(reduced)
     _check_pair(read, samples, rate_hz=rate_hz, name=reduced.name)
     steps, origin = _find_steps(read, reduced.with_suffix(".json"), raw=raw)
