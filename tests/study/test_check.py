@@ -1,12 +1,15 @@
 """What `check` finds besides the settings' own mistakes; origins of sets are tested with the provenance."""
 
+import json
+
 import pytest
 
 from feel321.protocols.texts import CATALOG, read_texts
 from feel321.stimuli.sets.build import Facts
 from feel321.study.cli import main
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import Problems, StudyFolder
 from feel321.study.settings.read import read_settings
+from feel321.study.study import Study
 from feel321.study.workflow import build_study, check_study, find_warnings
 
 
@@ -108,8 +111,9 @@ def test_the_texts_are_written_to_be_edited(
     assert read_texts(path) == read_texts("de")
     assert main(["new", str(study.path), "--texts", "en"]) == 1
     assert "already exists and is not overwritten" in capsys.readouterr().err
-    assert main(["new", str(study.path), "--texts", "fr"]) == 1
-    assert capsys.readouterr().err == "feel321: --texts must be one of de, en; got 'fr'\n"
+    assert main(["new", str(study.path), "--texts", "fr"]) == 2
+    refused = "feel321: --texts must be one of de, en; got 'fr'; see: feel321 new --help\n"
+    assert capsys.readouterr().err == refused
 
 
 @pytest.mark.parametrize(("rate_hz", "count"), [(2000.0, 0), (1800.0, 1)])
@@ -121,3 +125,12 @@ def test_a_slow_recording_is_named_with_its_band(
     slow = [line for line in found if line.startswith("recording 'slow'")]
     assert len(slow) == count
     assert all(f"{rate_hz / 2:g} Hz" in line for line in slow)
+
+
+def test_json_holds_what_was_noticed_in_recordings_too(
+    study: StudyFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = Problems(warnings=("weak",), remarks=("oak: gaps",))
+    monkeypatch.setattr(Study, "check", lambda _: found)
+    assert main(["check", str(study.path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == ["oak: gaps", "weak"]

@@ -117,6 +117,8 @@ def match(
 
     further = {name_of(name): _choose(open_metric, name) for name in metric}
     read = source.read(recording)
+    if not reduced.exists():
+        raise FileNotFoundError(f"{reduced}: there is no such file; check the name")
     samples, rate_hz = read_wav(reduced)
     _check_pair(read, samples, rate_hz=rate_hz, name=reduced.name)
     steps, origin = _find_steps(read, reduced.with_suffix(".json"), raw=raw)

@@ -55,11 +55,12 @@ def new(
 
         shared.echo("\n".join(map(write_list, FILES)).rstrip("\n"))
     elif texts is not None:
-        from feel321.doors import check_name
+        from feel321.doors import refuse_name
         from feel321.files import create_text
         from feel321.protocols.texts import COPY_FILE, list_languages, write_copy
 
-        check_name(texts, list_languages(), "--texts")
+        if texts not in (languages := list_languages()):
+            shared.refuse_use(refuse_name(texts, languages, "--texts"))
         path = require_study(folder or Path()).path / COPY_FILE
         create_text(path, write_copy(texts))
         use = f'in study.toml under [session]: language = "{COPY_FILE}"'
@@ -103,7 +104,8 @@ def check(
     counted = f", {count} warning{'s' * (count > 1)}" if count else ""
     good = f"{opened.folder.path}: no problems{counted}"
     lines = [*(shared.cap(found.problems) or [good]), *found.notes]
-    facts = {"problems": found.problems, "warnings": found.warnings, "notes": found.notes}
+    warnings = (*found.remarks, *found.warnings)
+    facts = {"problems": found.problems, "warnings": warnings, "notes": found.notes}
     shared.print_facts({**facts, **found.figures}, lines, as_json=as_json)
     return 1 if found.problems else 0
 

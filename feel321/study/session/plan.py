@@ -189,6 +189,8 @@ def create_plan(path: Path, plan: Plan) -> None:
 
 def require_plan(path: Path) -> Plan:
     """Read a stored plan; what is not as it was stored is refused."""
+    if not path.exists():
+        raise ValueError(f"{path}: is gone; restore the file from a copy")
     plan = _read_plan(path.read_bytes(), path)
     require_protocols(path, [task.protocol for task in plan.tasks], plan.methods)
     return plan

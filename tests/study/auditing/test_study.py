@@ -115,7 +115,10 @@ CHANGES: dict[str, tuple[Callable[[StudyFolder], object], list[str]]] = {
         lambda s: (s.sessions / "sim001/plan.json").write_bytes(b"{}"),
         ["{sim001}/plan.json: not a plan, or changed after it was stored"],
     ),
-    "no plan": (lambda s: (s.sessions / "sim001/plan.json").unlink(), ["{sim001}/plan.json"]),
+    "no plan": (
+        lambda s: (s.sessions / "sim001/plan.json").unlink(),
+        ["{sim001}/plan.json: is gone; restore the file"],
+    ),
     "a plan forged with its digest": (
         forge_seed,
         [

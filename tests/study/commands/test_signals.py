@@ -92,6 +92,7 @@ def test_every_real_recording_goes_through_reduce_and_match(
         (REDUCE + "bumps.csv --force", 2, "give it that ending"),
         (REDUCE + "taken.wav", 1, "taken.wav: already exists; name another file or add --force"),
         (REDUCE + "no/out.wav", 1, "feel321: no: there is no such folder; make it first"),
+        ("match {recording} gone.wav", 1, "gone.wav: there is no such file; check the name"),
         ("match {recording} short.wav", 1, "short.wav: got 4999 samples, bumps has 5000; both must"),
         ("match {recording} wide.wav", 1, "wide.wav: a reduced signal has 1 channel, got 3; reduce"),
         ("match {recording} slow.wav", 1, "slow.wav: got 8000 Hz, bumps has 10000 Hz; both must"),
