@@ -144,7 +144,9 @@ def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
     try:
         while True:
             threads = sum(client.nthreads().values())  # type: ignore[no-untyped-call]  # distributed's types
-            running.update(list(islice(left, max(2 * threads - running.count(), 0))))
+            # One at least: while the cluster has no worker, what is left waits for the next one.
+            wanted = max(2 * threads, 1) - running.count()
+            running.update(list(islice(left, max(wanted, 0))))
             if running.is_empty():
                 return
             _, result = next(running)
