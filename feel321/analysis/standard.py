@@ -404,7 +404,7 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
     r1, r2, r12 = float(r_jk), float(r_jh), float(r_kh)
     # Of the three variables' correlation matrix; negative where no three variables correlate so.
     determinant = 1 - r1**2 - r2**2 - r12**2 + 2 * r1 * r2 * r12
-    if not max(map(abs, (r1, r2, r12))) <= 1 or r12 >= PERFECT or determinant < PERFECT - 1:
+    if not max(map(abs, (r1, r2, r12))) <= 1 or r12 >= PERFECT or not determinant >= PERFECT - 1:
         raise ValueError(
             f"r_jk, r_jh and r_kh must be -1 to 1, r_kh below 1 and possible with the others, got {r1}, {r2} and "
             f"{r12}: no three variables correlate like that; take all three from the same cases"

@@ -82,3 +82,11 @@ def test_independent_items_hold_the_size() -> None:
         p = np.array([result.williams_p, result.steiger_p, result.meng_p])
         hits += np.append(p < 0.05, not result.zou_low <= 0 <= result.zou_high)
     assert ((hits / 600 > 0.025) & (hits / 600 < 0.08)).all()
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_a_correlation_that_is_missing_is_refused(place: int) -> None:
+    values = [0.5, 0.3, 0.4]
+    values[place] = float("nan")
+    with pytest.raises(ValueError, match="r_jk, r_jh and r_kh must be -1 to 1"):
+        compare_dependent(*values, 40)

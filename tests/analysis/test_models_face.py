@@ -107,3 +107,5 @@ def test_contrasts_name_terms_of_the_model(rows: pd.DataFrame) -> None:
     fit = analysis.fit_mixed("rating ~ sm + tm + (1 | participant)", rows)
     with pytest.raises(ValueError, match=r"of the model .*got .*zm"):
         analysis.contrast(fit, {"sm": 1, "zm": -1})
+    with pytest.raises(TypeError, match="weights must be a mapping of terms to numbers, got"):
+        analysis.contrast(fit, "sm - tm")  # type: ignore[arg-type]

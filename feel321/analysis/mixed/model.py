@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -9,10 +10,11 @@ import numpy as np
 
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
+from feel321.doors import describe
 from feel321.records import Statistic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Sequence
 
     from pandas import DataFrame
 
@@ -321,6 +323,8 @@ def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Statistic:
     >>> round(difference.estimate, 2), round(difference.se, 2), round(difference.df, 1)
     (1.5, 0.35, 6.0)
     """
+    if not isinstance(weights, Mapping):
+        raise TypeError(f"weights must be a mapping of terms to numbers, got {describe(weights)}")
     terms = list(fit.fixed.index)
     values = np.array([float(weights.get(name, 0)) for name in terms])
     if not set(weights) <= set(terms) or not np.isfinite(values).all() or not values.any():
