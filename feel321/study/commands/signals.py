@@ -316,6 +316,10 @@ def _find_places(places: Sequence[Path], *, scenes: bool) -> tuple[Path | None, 
     if len(studies) > 1:
         shared.refuse_use(f"name one study, got {', '.join(map(str, studies))}")
     for one in extra:
+        if one.is_dir():
+            raise IsADirectoryError(
+                f"{one}: a folder without study.toml; name a study, or recordings one by one"
+            )
         if not one.is_file():
             raise FileNotFoundError(f"{one}: no such study or recording; check the name")
     return (studies[0] if studies else None), extra

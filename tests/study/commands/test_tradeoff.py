@@ -109,7 +109,7 @@ def test_ratings_recordings_own_methods_seed_and_folder_are_taken_as_told(
     [
         (["{folder}/nowhere"], 1, "nowhere: no such study or recording; check the name"),
         ([], 1, "no study.toml in"),
-        (["{folder}"], 1, ": no such study or recording; check the name"),
+        (["{folder}"], 1, ": a folder without study.toml; name a study, or recordings one by one"),
         (["--scenes", "--latency-ms", "5"], 2, "--latency-ms must be left out offline, got 5; add"),
         (["--scenes", "--tolerance-db", "22"], 2, "--tolerance-db must be above 0 and below 10"),
     ],
