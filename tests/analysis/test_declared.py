@@ -73,8 +73,17 @@ def test_metrics_to_be_compared_come_along_where_every_stimulus_has_them(small: 
     manifest = pd.read_csv(small.manifest)
     manifest["holes"] = manifest["roughness"].where(manifest.index != 2)
     manifest.to_csv(small.manifest, index=False)
-    table = read(small, further=Further(pd.DataFrame(), rivals=("temporal_match", "holes")))
-    assert table.rivals == ("roughness", "temporal_match")
+    ratings = pd.read_csv(small.ratings)
+    manifest["sensation_level_db"] = 20 - manifest.index % 7
+    manifest.to_csv(small.manifest, index=False)
+    named = ("temporal_match", "holes", "sensation_level_db")
+    table = read(small, further=Further(pd.DataFrame(), rivals=named))
+    assert table.rivals == ("roughness", "temporal_match", "sensation_level_db")
+    assert len(table.rows) == len(ratings)
+    assert table.rows.columns.is_unique
+    found = correlations.compute_further(table, Choices(draws=20))
+    explored = {row["metric"] for row in found.rows["further_associations"]}
+    assert explored == {"temporal_match", "sensation_level_db", *table.further}
     assert "Not compared, because some rated test stimuli have no value: holes." in table.notes
     assert read(small).rivals == ()
 
