@@ -169,7 +169,6 @@ class Study:
         manifest: PathLike | None = None,
         out: PathLike | None = None,
         metrics: Sequence[str] = (),
-        rivals: bool = False,
         draws: int | None = None,
     ) -> Results:
         """Relate the ratings to the match metrics and write the report.
@@ -180,7 +179,6 @@ class Study:
         Example: feel321 analyze my-study
                  feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
                  feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match
-                 feel321 analyze my-study --rivals
 
         Parameters
         ----------
@@ -192,8 +190,6 @@ class Study:
             Where to, instead of report/.
         metrics : sequence of str
             A numeric manifest column to analyze; repeatable.  [default: as declared]
-        rivals : bool
-            Also explore rival metrics from the literature.
         draws : int, optional
             Bootstrap draws per interval; as study.toml declares by default.
         """
@@ -216,7 +212,6 @@ class Study:
                 manifest=None if manifest is None else as_path(manifest),
                 metrics=metrics or None,
                 draws=draws,
-                rivals=rivals,
                 out=None if out is None else target,
                 progress=step,
                 finish=partial(write_methods, self.folder) if ratings is None else None,

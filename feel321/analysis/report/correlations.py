@@ -151,11 +151,10 @@ def _gather_notes(found: Iterable[Any], lead: str, *, most: int) -> Iterator[str
 
 def compute_further(table: Table, choices: Choices) -> Found:
     """Correlate mean ratings of stimuli with every metric that the analysis was not planned for."""
-    found, every = Found(key="further"), dict.fromkeys((*table.further, *table.rivals))
-    names = [name for name in every if name not in table.metrics]
-    for part in split_tests(table) if names else ():
-        items, own = make_items(part.rows, names), []
-        for (place, metric), method in product(enumerate(names), (LEADING, RANKED, DRAWN)):
+    found = Found(key="further")
+    for part in split_tests(table) if table.further else ():
+        items, own = make_items(part.rows, table.further), []
+        for (place, metric), method in product(enumerate(table.further), (LEADING, RANKED, DRAWN)):
             alone = replace(items, metrics=items.metrics[[place]])
             rng = choices.make_rng("further", *part.place, metric, method)
             drawn = correlate_items(alone, (metric,), method, draws=choices.draws, rng=rng)
@@ -164,5 +163,5 @@ def compute_further(table: Table, choices: Choices) -> Found:
         found.notes += _gather_notes(own, f"{part.lead}, further metrics", most=len(own))
     if found.rows["further_associations"]:
         known = describe_explored(table.metrics)
-        found.facts["meanings"] = {name: known.get(name, table.info[name].label) for name in names}
+        found.facts["meanings"] = {name: known[name] for name in table.further}
     return found

@@ -398,7 +398,7 @@ def _gather_notes(table: Table, found: Iterable[Found]) -> Iterator[str]:
     """List what was left out or assumed: names in words, and what several ratings share said once."""
     rows = table.rows
     scales, levels = rows["scale"].unique(), rows["level"].unique()
-    names = [*scales, RECAST, *levels, *table.metrics, *table.further, *table.rivals, *RULES]
+    names = [*scales, RECAST, *levels, *table.metrics, *table.further, *RULES]
     arms = sorted({f"{scale}, {level}" for scale in scales for level in levels})
     told: dict[str, list[str]] = {}
     for note in dict.fromkeys(chain(table.notes, *(one.notes for one in found))):

@@ -264,7 +264,6 @@ def demo(*, out: Home = Path("demo-study")) -> None:
     manifest=File | None,
     out=Out,
     metrics=Several,
-    rivals=bool,
 )
 def analyze(_opened: Study, found: "Results", *, as_json: bool) -> None:
     """Print where the report is."""
