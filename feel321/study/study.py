@@ -111,10 +111,8 @@ class Study:
         faults = find_faults(self.folder)
         return replace(found, warnings=(*found.warnings, *faults), notes=(*found.notes, *frozen))
 
-    def build(self, workers: int | Workers = 1, *, no_page: bool = False) -> StimulusSet:
+    def build(self, workers: int | Workers = 1) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
-
-        Open stimuli/index.html in a browser to see, measure and hear every stimulus.
 
         Example: feel321 build my-study --workers 2
 
@@ -122,15 +120,12 @@ class Study:
         ----------
         workers : int or Workers
             Number of processes, or who else does the work.
-        no_page : bool
-            No stimuli/index.html.
         """
         from feel321.stimuli.sets.build import find_copies
         from feel321.study.workflow import build_study
 
-        page = not no_page
         with follow(self.progress, "build") as step:
-            facts, stimuli = build_study(self.folder, workers=workers, page=page, progress=step)
+            facts, stimuli = build_study(self.folder, workers=workers, progress=step)
         noticed = [f"{one.name}: {text}" for one in facts for text in one.warnings]
         for text in (*noticed, *find_copies(facts)):
             self._warn(text)

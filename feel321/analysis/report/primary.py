@@ -1,4 +1,4 @@
-"""Sections on slopes within recordings: the primary model, all metrics ranked, and the model under other choices."""
+"""Sections on slopes within recordings: the primary model, and the model under other choices."""
 
 from __future__ import annotations
 

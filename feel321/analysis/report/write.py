@@ -65,8 +65,6 @@ SECTIONS = (
     Section("delivered", "Delivered vibration", "trust", f"{PLACE}.raters:compute_delivered"),
     Section("raters", "Raters", "trust", f"{PLACE}.raters:compute"),
     Section("robustness", "Robustness to other choices", "hinge", f"{PLACE}.primary:compute_robustness"),
-    Section("standard", "For comparison with the literature", "computed", f"{PLACE}.correlations:compute_standard",
-            front=False),
 )  # fmt: skip
 """The one list of a report's sections, by question."""
 

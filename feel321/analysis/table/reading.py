@@ -153,7 +153,7 @@ def read_table(
     notes += [*remarks.note_sources(rows), *remarks.note_lookalikes(rows)]
     explored = _choose_further(rows, planned, given=given)
     columns = [*planned, *explored]
-    optional = [name for name in OPTIONAL if name in rows and name not in planned]
+    optional = [name for name in OPTIONAL if name in rows and name not in columns]
     rows = rows[[
         "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
         "scale", "repeat", "rating", "simulated", *optional, *columns,
