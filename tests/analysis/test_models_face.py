@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis import space, standard
+from feel321.analysis import space
 from feel321.analysis.contrasts import compare
 
 if TYPE_CHECKING:
@@ -56,7 +56,6 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "dependent": analysis.compare_dependent(1.0, 0.2, 0.2, 20),
         "intraclass": analysis.intraclass(rows),
         "p1401": analysis.p1401(rows, "sm"),
-        "p1401_difference": standard.compare_p1401(*(analysis.p1401(rows, one) for one in METRICS)),
         "equivalence": analysis.equivalence(1, 1, 9, low=-3, high=3),
         "non_inferiority": compare.non_inferiority(1, 1, 9, margin=-3),
         "discrimination": analysis.discriminate(24, 24),
@@ -70,7 +69,7 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
 
 NAMES = [
     "primary", "primaries", "fit", "contrast", "screening", "association", "difference",
-    "reducers", "repeated", "dependent", "intraclass", "p1401", "p1401_difference", "equivalence",
+    "reducers", "repeated", "dependent", "intraclass", "p1401", "equivalence",
     "non_inferiority", "discrimination", "bradley_terry", "space", "alignment",
 ]  # fmt: skip
 
