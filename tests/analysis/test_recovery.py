@@ -27,7 +27,7 @@ from feel321.analysis.contrasts.compare import equivalence, non_inferiority, pro
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
 from feel321.analysis.resampling import METHODS, Draws, correlate_draws, fisher_z, measure_lean
-from feel321.analysis.standard import compare_dependent, repeated_measures_correlation
+from feel321.analysis.standard import compare_dependent, p1401, repeated_measures_correlation
 from feel321.analysis.table.items import Items
 
 if TYPE_CHECKING:

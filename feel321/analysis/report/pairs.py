@@ -246,22 +246,22 @@ def compute_space(table: Table, choices: Choices) -> Found:
     def fit(level: str) -> tuple[Any, Statistic, Sequence[float]]:
         rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
         names, matrices = spaces.gather_dissimilarities(dissimilar[dissimilar["level"] == level])
-        ellipses = spaces.bootstrap_space(matrices, draws=draws, rng=rng)
+        space = spaces.fit_space(matrices, draws=draws, rng=rng)
         rng = choices.make_rng("space", level, "stress")
-        return names, ellipses, spaces.stress_by_dimension(matrices, rng=rng)
+        return names, space, spaces.stress_by_dimension(matrices, rng=rng)
 
     for level in sorted(dissimilar["level"].unique()):
         mapped = found.attempt(f"{PAIRED}, {level}: no map.", fit, level)
         if mapped is None:
             continue
-        names, ellipses, stress = mapped
-        found.draw("map", parts.make_slug("space", level), ellipses, names, says={"level": level})
+        names, space, stress = mapped
+        found.draw("map", parts.make_slug("space", level), space, names, says={"level": level})
         keys: Row = {"level": level, "n": len(names)}
-        found.add("space", _list_places(names, ellipses.space, ellipses), **keys)
+        found.add("space", _list_places(names, space), **keys)
         sizes = ({"dimensions": n, "stress": value} for n, value in enumerate(stress, start=1))
         found.add("space_stress", sizes, **keys)
         lead = f"{PAIRED}, {level}: the map is compared with nothing else."
-        one = found.attempt(lead, _relate, table, ellipses, names, level=level, choices=choices)
+        one = found.attempt(lead, _relate, table, space, names, level=level, choices=choices)
         if one is not None:
             note = f"{one.permutations} pairings"
             found.add("space_metrics", [one], note=note, **keys)
@@ -277,7 +277,7 @@ def compute_space(table: Table, choices: Choices) -> Found:
 
 
 def _relate(
-    table: Table, ellipses: Statistic, names: Sequence[str], *, level: str, choices: Choices
+    table: Table, space: Statistic, names: Sequence[str], *, level: str, choices: Choices
 ) -> Statistic:
     """Compare the map with the metrics of its stimuli."""
     from feel321.analysis.space import align_spaces
@@ -290,7 +290,7 @@ def _relate(
     metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
     rng = choices.make_rng("space", level, "procrustes")
-    places = ellipses.space.positions[known]
+    places = space.positions[known]
     return align_spaces(places, scaled, permutations=choices.draws, rng=rng)
 
 
@@ -308,16 +308,20 @@ def _regress(
     return attributes
 
 
-def _list_places(
-    names: Sequence[str], space: Statistic, ellipses: Statistic | None
-) -> Iterator[Row]:
-    """List the places on a map, with their ellipses where these were drawn."""
-    for number, (name, (x, y)) in enumerate(zip(names, space.positions, strict=True)):
-        row = {"reducer": name, "x": x, "y": y}
-        if ellipses:
-            row["half_axis_1"], row["half_axis_2"] = ellipses.half_axes[number]
-            row["angle"] = ellipses.angle[number]
-        yield row
+def _list_places(names: Sequence[str], space: Statistic) -> Iterator[Row]:
+    """List the places on a map, with their ellipses."""
+    own = space.ellipses
+    for name, (x, y), half, angle in zip(
+        names, space.positions, own.half_axes, own.angle, strict=True
+    ):
+        yield {
+            "reducer": name,
+            "x": x,
+            "y": y,
+            "half_axis_1": half[0],
+            "half_axis_2": half[1],
+            "angle": angle,
+        }
 
 
 def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
