@@ -12,7 +12,6 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis import space
-from feel321.analysis.contrasts import compare
 
 if TYPE_CHECKING:
     from feel321.records import Result
@@ -57,7 +56,6 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "intraclass": analysis.intraclass(rows),
         "p1401": analysis.p1401(rows, "sm"),
         "equivalence": analysis.equivalence(1, 1, 9, low=-3, high=3),
-        "non_inferiority": compare.non_inferiority(1, 1, 9, margin=-3),
         "discrimination": analysis.discriminate(24, 24),
         "bradley_terry": analysis.bradley_terry(
             pd.DataFrame({"winner": list("aabbcc"), "loser": list("bcacab")})
@@ -70,7 +68,7 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
 NAMES = [
     "primary", "primaries", "fit", "contrast", "screening", "association", "difference",
     "reducers", "repeated", "dependent", "intraclass", "p1401", "equivalence",
-    "non_inferiority", "discrimination", "bradley_terry", "space", "alignment",
+    "discrimination", "bradley_terry", "space", "alignment",
 ]  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
-from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, PAIRED
+from feel321.analysis.table.schema import CHOSEN, HIGHEST, PAIRED
 from feel321.analysis.words import format_count, format_name
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def _predict(found: Found, part: Part, table: Table, **_: object) -> Sequence[st
     """Count how many choices each metric predicts."""
     from feel321.analysis.choices import gather_votes, predict
 
-    one = predict(gather_votes(table, metrics=table.metrics))
+    one = predict(gather_votes(table, table.metrics))
     keys: Row = {**part.keys, "n": one.n_votes}
     shares = one.to_frame()
     found.add("choices_predicted", shares.assign(n_choices=one.n_votes), **keys)
@@ -131,7 +131,7 @@ def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[s
     for name in (name for name in tested if any((ids == name).any() for ids in both)):
         rest = rows[(both[0] != name) & (both[1] != name)]
         try:
-            left = predict(gather_votes(replace(table, rows=rest), metrics=metrics)).shares
+            left = predict(gather_votes(replace(table, rows=rest), metrics)).shares
         except ValueError:
             continue
         own = left.loc[metric]
@@ -175,30 +175,22 @@ def _scale(
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
-    from pandas import DataFrame
+    from feel321.analysis.contrasts.told_apart import discriminate
 
-    from feel321.analysis.contrasts.told_apart import discriminate_pairs
-
-    found = Found(key="discrimination")
-    rows = table.rows[(table.rows["scale"] == ANSWERED) & (table.rows["role"] != "reference")]
-    right = rows["rating"] == HIGHEST
-    trials = rows.assign(first=rows["reducer"], second="reference", correct=right)
-    records: list[Row] = []
-    for (level, reducer), part in trials.groupby(["level", "reducer"], observed=True):
-        one = discriminate_pairs(part)[None]
-        records.append({**one, "level": level, "reducer": reducer})
-        found.notes += [f"ABX, {reducer}, {level}: {note}" for note in one.notes]
-    if not records:
+    found, frame = Found(key="discrimination"), discriminate(table)
+    if frame.empty:
         return found
-    for record, p in zip(records, adjust_holm([one["p"] for one in records]), strict=True):
-        record["p_holm"] = p
+    for one in frame.to_dict("records"):
+        found.notes += [f"ABX, {one['reducer']}, {one['level']}: {note}" for note in one["notes"]]
+    frame["p_holm"] = adjust_holm(frame["p"].tolist())
+    records = frame.to_dict("records")
     found.add("discrimination", records)
     apart, n = sum(one["p_holm"] < parts.SIGNIFICANCE for one in records), len(records)
     found.facts = {"apart": apart, "n": n}
     for name, count in {"n_distinguished": apart, "n_compared": n}.items():
         found.rows["discrimination"].append(make_row(name, count, n=n))
     found.claim(**found.facts)
-    frame = DataFrame(records).rename(columns={"d_independent": "d"})
+    frame = frame.rename(columns={"d_independent": "d"})
     tried = frame["n_correct"].astype(str) + "/" + frame["n_trials"].astype(str)
     frame["name"] = frame["reducer"] + " (" + frame["level"].map(format_name) + ") (" + tried + ")"
     found.draw("sensitivity", "discrimination", frame, says={})

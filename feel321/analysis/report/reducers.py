@@ -150,7 +150,7 @@ def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
         pair["low90"], pair["high90"] = compare.find_interval90(*numbers)
         if margin is not None and 0 < pair["se"] < np.inf:
             test = compare.equivalence(*numbers, low=-margin, high=margin)
-            worse = compare.non_inferiority(*numbers, margin=-margin).p
+            worse = test.p_low  # Higher is better: not worse than the second by the margin.
             pair |= {
                 "p_equivalence": test.p, "equivalent": test.equivalent, "p_not_worse": worse, "limit": pair["low90"],
                 "told_equivalent": "yes" if test.equivalent else "not shown",
