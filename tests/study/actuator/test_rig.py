@@ -39,7 +39,7 @@ def _is_toml(line: str) -> bool:
 
 COIL = '[[actuators]]\nname = "coil"\nchannel = 1\n'
 MASKING = "[masking]\nchannels = [3]\n"
-SENSOR = "[sensor]\nchannel = 1\nfull_scale_m_s2 = 50.0\n"
+SENSOR = "[sensor]\nchannels = [1, 2, 3]\nfull_scale_m_s2 = 50.0\n"
 TURNED = COIL + "direction = {}\n"
 
 
@@ -66,7 +66,7 @@ TURNED = COIL + "direction = {}\n"
         ("[masking]\nchannels = []\n", "masking.channels: got [], "),
         (MASKING + "ramp_s = 1.0\n", "masking must have lead_s of ramp_s or more"),
         (MASKING + "rms = 0.5\n", "masking.rms must be less than or equal to 0.15, got 0.5"),
-        ("[sensor]\nfull_scale_m_s2 = 1.0\n", "sensor must have either channel or channels (x, y, z); name one"),
+        ("[sensor]\nfull_scale_m_s2 = 1.0\n", "sensor.channels: missing; add it"),
         (SENSOR + "sensitivity_mv_per_g = 100.0\n", "sensor.sensitivity_mv_per_g: unknown setting"),
         ('[calibration]\nphase = "minimum"\n', "calibration.phase: unknown setting"),
         ("[calibration]\nband_hz = [1000, 20]\n", "calibration.band_hz must be two frequencies in Hz that rise"),
