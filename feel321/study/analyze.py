@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
-from math import nan
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -179,22 +178,15 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Pa
     """Make the paper that the report answers; mountings: metrics over orientations of the sensor."""
     if (paper := settings.paper) is None:
         return None
-    from feel321.analysis.replication import Paper, PaperClaim
+    from feel321.analysis.replication import Paper
 
-    claims = []
-    for table in paper.claims:
-        own = table.model_dump(exclude={"paper", "options"})
-        ends = (table.paper.value, table.paper.low, table.paper.high) if table.paper else ()
-        value, low, high = (nan if one is None else one for one in ends or (None,) * 3)
-        options = table.options.model_dump(exclude_none=True)
-        claims.append(PaperClaim(paper=(value, low, high), options=options, **own))
     published = [
         {**one.model_dump(exclude={"numbers"}), "reducer": reducer, "paper": value}
         for one in paper.published
         for reducer, value in one.numbers.items()
     ]
     frame = pd.DataFrame(published) if published else None
-    return Paper(paper.citation, paper.doi, paper.seen, tuple(claims), frame, mountings)
+    return Paper(paper.citation, paper.doi, paper.seen, paper.claims, frame, mountings)
 
 
 # Metrics of a study's stimuli that its manifest lacks: rivals, and over orientations of the sensor.
@@ -218,7 +210,7 @@ def measure_rivals(recordings: Given, stimuli: StimulusSet, recipe: Recipe) -> p
         signal, rate_hz = ready.acceleration, ready.rate_hz
         found = {}
         for name in made[ready.name]:
-            reduced = np.asarray(find_reducer(recipe, name, ready.name)(signal, rate_hz))
+            reduced = np.asarray(find_reducer(recipe, name)(signal, rate_hz))
             values = measure_batch(signal, reduced, rate_hz)
             found[ready.name, name] = {metric: float(one) for metric, one in values.items()}
         return found
