@@ -14,7 +14,6 @@ from feel321.doors import import_lazily as _import_lazily
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
     from feel321.analysis.association.correlate import compare_metrics, correlate
-    from feel321.analysis.association.rivals import rank_metrics
     from feel321.analysis.choices import predict_votes
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
     from feel321.analysis.contrasts.compare import compare_reducers, equivalence
@@ -50,7 +49,7 @@ __all__ = [
     "fit_space", "intraclass",
     "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401", "plan_power",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
-    "plot_spectrum", "predict_votes", "rank_metrics", "rater_model",
+    "plot_spectrum", "predict_votes", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters",
     "write_report",
 ]  # fmt: skip

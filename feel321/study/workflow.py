@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from feel321 import intake
-from feel321.doors import announce, follow
+from feel321.doors import follow
 from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import make_scales
@@ -37,29 +37,17 @@ Seen = tuple[sets.Facts, NDArray[np.float64] | None]
 
 
 def build_study(
-    study: StudyFolder,
-    *,
-    workers: int | Workers = 1,
-    page: bool = True,
-    progress: Progress | None = None,
+    study: StudyFolder, *, workers: int | Workers = 1, progress: Progress | None = None
 ) -> tuple[list[sets.Facts], StimulusSet]:
-    """Build the stimulus set of a study, and its page; also gives what was found of its recordings."""
+    """Build the stimulus set of a study; also gives what was found of its recordings."""
     if as_workers(workers).scheduler:
         study = StudyFolder(study.path.absolute())  # as all machines see it
     settings = read.read_settings(study.settings)
     sources = read.list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
     _protect_used_set(study, settings, recipe)
-    with declaring(study, "build"):
-        with follow(progress or False, "build") as move:
-            facts, stimuli = sets.build_set(
-                sources, study.stimuli, recipe, workers=workers, move=move
-            )
-        if page or (study.stimuli / "index.html").exists():
-            from feel321.analysis.browser import remove_stimulus_page, write_stimulus_page
-
-            announce("page of the set")
-            (write_stimulus_page if page else remove_stimulus_page)(study.stimuli)
+    with declaring(study, "build"), follow(progress or False, "build") as move:
+        facts, stimuli = sets.build_set(sources, study.stimuli, recipe, workers=workers, move=move)
     return facts, stimuli
 
 

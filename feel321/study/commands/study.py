@@ -115,7 +115,7 @@ def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -
     return 1 if failed else 0
 
 
-@verb(Study.build, crew=Crew, no_page=bool)
+@verb(Study.build, crew=Crew)
 def build(opened: Study, stimuli: "StimulusSet", *, as_json: bool) -> None:
     """Print how many stimuli there are, and what is worth knowing of their gains."""
     from feel321.study.strength import describe_built
@@ -251,7 +251,6 @@ def demo(*, out: Home = Path("demo-study")) -> None:
     manifest=File | None,
     out=Out,
     metrics=Several,
-    rivals=bool,
 )
 def analyze(_opened: Study, found: "Results", *, as_json: bool) -> None:
     """Print where the report is."""
