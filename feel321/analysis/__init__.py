@@ -29,8 +29,6 @@ if _TYPE_CHECKING:
         plot_slopes,
         plot_spectrum,
     )
-    from feel321.analysis.power.plan import plan_power
-    from feel321.analysis.power.truth import PowerDesign, Truth
     from feel321.analysis.primary.model import fit_attributes, fit_primary
     from feel321.analysis.report.write import write_report
     from feel321.analysis.screening import RULES, screen_raters
@@ -42,11 +40,11 @@ if _TYPE_CHECKING:
     from feel321.analysis.tradeoff.page import advise_tradeoff
 
 __all__ = [
-    "RULES", "PowerDesign", "Table", "Truth", "advise_tradeoff", "bradley_terry",
+    "RULES", "Table", "advise_tradeoff", "bradley_terry",
     "compare_dependent", "compare_metrics", "compare_reducers", "contrast", "correlate",
     "discriminate", "equivalence", "fit_attributes", "fit_mixed", "fit_primary",
     "fit_space", "intraclass",
-    "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401", "plan_power",
+    "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401",
     "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
     "plot_spectrum", "predict_votes", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters",
