@@ -54,7 +54,7 @@ TURNED = COIL + "direction = {}\n"
         (COIL + 'plays = ["q"]\n', "actuators[1].plays[1] must be one of reduced, x, y, z, got 'q'"),
         (COIL + 'plays = ["x", "x"]\n', "must hold each name once, got ['x', 'x']; more than once: x"),
         (COIL + COIL, "actuators must hold each name once; more than once: coil"),
-        (COIL + "weight = -1\n", "actuators[1].weight must be greater than 0, got -1"),
+        (COIL + "weight = -1\n", "actuators[1].weight must be greater than 0 or \"off\", got -1"),
         (TURNED.format([0, 0, 0]), "actuators[1].direction must be a direction of motion, such as [1, 0, 0]"),
         (TURNED.format([0, 1]), "rig.toml: actuators[1].direction"),
         (TURNED.format('"up"'), "rig.toml: actuators[1].direction must be a valid array, got 'up'"),
