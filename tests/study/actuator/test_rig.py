@@ -88,7 +88,10 @@ def test_a_bad_table_gets_a_line(text: str, line: str, tmp_path: Path) -> None:
     ("text", "line"),
     [
         (LIMITS.replace("90.0", "-1"), "limits.peak_m_s2 must be greater than 0, got -1"),
-        (LIMITS.replace("10.0", "nan"), "limits.duration_s must be less than or equal to 3600, got nan"),
+        (
+            LIMITS.replace("10.0", "nan"),
+            "limits.duration_s must be less than or equal to 3600, got nan",
+        ),
         (LIMITS.replace("30", "true"), "limits.rms_m_s2 must be a valid number, got True"),
         ("actuators = []\n" + LIMITS, "rig.toml: actuators must hold at least one name, got []"),
         ("sync = 3\n" + LIMITS, "sync must be a table, got 3"),
