@@ -279,7 +279,7 @@ class Study:
         """Find how many participants, recordings and reducers a study needs.
 
         Simulates this very study: its stimuli, protocols, primary model and Holm's method. Writes a page, tables
-        and JSON into STUDY/power. After Ctrl-C the same command continues.
+        and JSON into STUDY/power.
 
         Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
 
@@ -317,7 +317,12 @@ class Study:
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
-        sizes = [participants, recordings, reducers, repeats]
+        sizes = {
+            "participants": participants,
+            "recordings": recordings,
+            "reducers": reducers,
+            "repeats": repeats,
+        }
         recording = recording_output(self.folder, "power", target, now=self.now)
         with recording, follow(self.progress, "power") as step:
             further = measure_declared(self.folder, self.settings)
@@ -326,10 +331,9 @@ class Study:
             )
             found = power.plan_study(
                 task,
-                dict(zip(power.SIZES, sizes, strict=True)),
+                sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                keep=target / power.KEPT,
                 workers=as_workers(workers),
                 progress=step,
             )

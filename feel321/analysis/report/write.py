@@ -20,7 +20,7 @@ from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_fil
 from feel321.analysis.report.section import ENDS, FIXED, Found, Row, Section, TableForm, make_row
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
-from feel321.analysis.screening.rules import RULES
+from feel321.analysis.screening import RULES
 from feel321.analysis.table.dictionary import DICTIONARY
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
