@@ -15,6 +15,7 @@ if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
     from feel321.analysis.association.correlate import compare_metrics, correlate
     from feel321.analysis.choices import predict_votes
+    from feel321.analysis.consistency import rater_model
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
     from feel321.analysis.contrasts.compare import compare_reducers, equivalence
     from feel321.analysis.contrasts.told_apart import discriminate
@@ -30,9 +31,7 @@ if _TYPE_CHECKING:
     )
     from feel321.analysis.primary.model import fit_attributes, fit_primary
     from feel321.analysis.report.write import write_report
-    from feel321.analysis.screening.consistency import rater_model
-    from feel321.analysis.screening.rules import RULES
-    from feel321.analysis.screening.screen import screen_raters
+    from feel321.analysis.screening import RULES, screen_raters
     from feel321.analysis.space import fit_space
     from feel321.analysis.standard import compare_dependent, p1401, repeated_measures_correlation
     from feel321.analysis.table.items import Table

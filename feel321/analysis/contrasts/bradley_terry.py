@@ -113,7 +113,7 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     people = _read_raters(pairs, rater, draws)
     if rater:
         pairs, ties = pairs.drop(columns=rater), "half"
-    names, every, n_ties = _read_rows(pairs, ties=ties)
+    names, every, n_ties = _read_rows(pairs, ties=ties, ordered=order_effect)
     if not 0 <= prior < np.inf:
         raise ValueError(f"prior must be 0 or more, got {prior}; 0.5 is usual")
     kept = every.sum(axis=1) > 0  # a pair that never met says nothing
@@ -122,10 +122,6 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     items, codes = np.unique(names[kept], return_inverse=True)
     # Items are names, even where a table holds numbers.
     base = check_name(str(reference or items[0]), items.tolist(), "reference")
-    if order_effect and "loser" in pairs:
-        raise ValueError(
-            "order_effect needs pairs that say which was presented first; leave it out"
-        )
     codes, every = codes.reshape(-1, 2), every[kept]
     duels, row = np.unique(codes, axis=0, return_inverse=True)
     fitted, wins = codes, every
@@ -266,7 +262,7 @@ def _read_raters(pairs: DataFrame, rater: str, draws: int) -> Codes:
     return people
 
 
-def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Names, Values, int]:
+def _read_rows(pairs: DataFrame, *, ties: str, ordered: bool) -> tuple[Names, Values, int]:
     """Read paired comparisons: names and wins of both, (n_rows, 2), and how many were ties."""
     from pandas import DataFrame
 
@@ -287,12 +283,12 @@ def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Names, Values, int]:
     elif "loser" not in pairs:
         wins, n_ties = _read_winners(pairs, names, ties)
     else:
+        if ordered:
+            raise ValueError(
+                "order_effect needs pairs that say which was presented first; leave it out"
+            )
         names = np.sort(names, axis=1)
         wins = (names == sides[:, :1]).astype(np.float64)
-    same = names[:, 0] == names[:, 1]
-    if same.any():
-        got = f"got '{names[same][0, 0]}' against itself; leave such rows out"
-        raise ValueError(f"pairs must be of two items, {got}")
     return names, wins, n_ties
 
 
@@ -301,7 +297,12 @@ def _read_names(pairs: DataFrame, columns: list[str]) -> Names:
         if missing := int(pairs[column].isna().sum()):
             got = f"got {missing} rows without a name; name or leave them out"
             raise ValueError(f"pairs must name an item in column '{column}', {got}")
-    return np.stack([pairs[one].astype(str).to_numpy(dtype=np.str_) for one in columns], axis=1)
+    names = np.stack([pairs[one].astype(str).to_numpy(dtype=np.str_) for one in columns], axis=1)
+    same = names[:, 0] == names[:, 1]
+    if same.any():
+        got = f"got '{names[same][0, 0]}' against itself; leave such rows out"
+        raise ValueError(f"pairs must be of two items, {got}")
+    return names
 
 
 def _read_winners(pairs: DataFrame, names: Names, ties: str) -> tuple[Values, int]:
