@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
-from math import nan
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -174,22 +173,15 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Pa
     """Make the paper that the report answers; mountings: metrics over orientations of the sensor."""
     if (paper := settings.paper) is None:
         return None
-    from feel321.analysis.replication import Paper, PaperClaim
+    from feel321.analysis.replication import Paper
 
-    claims = []
-    for table in paper.claims:
-        own = table.model_dump(exclude={"paper", "options"})
-        ends = (table.paper.value, table.paper.low, table.paper.high) if table.paper else ()
-        value, low, high = (nan if one is None else one for one in ends or (None,) * 3)
-        options = table.options.model_dump(exclude_none=True)
-        claims.append(PaperClaim(paper=(value, low, high), options=options, **own))
     published = [
         {**one.model_dump(exclude={"numbers"}), "reducer": reducer, "paper": value}
         for one in paper.published
         for reducer, value in one.numbers.items()
     ]
     frame = pd.DataFrame(published) if published else None
-    return Paper(paper.citation, paper.doi, paper.seen, tuple(claims), frame, mountings)
+    return Paper(paper.citation, paper.doi, paper.seen, paper.claims, frame, mountings)
 
 
 # Metrics of a study's stimuli that its manifest lacks: those over orientations of the sensor.

@@ -102,7 +102,7 @@ def set_up(
     sessions.require_current_set(study, settings)
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
-    table = _tabulate_plan(study, settings, stimuli, groups=share, further=further)
+    table = _tabulate_plan(settings, stimuli, groups=share, further=further)
     if not (rated := list(split_tests(table))):
         raise ValueError(
             "session.protocols ask for no rating of a single stimulus, so there is no slope to plan for; add realism "
@@ -155,15 +155,10 @@ def _read_effects(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _tabulate_plan(
-    study: StudyFolder,
-    settings: Settings,
-    stimuli: StimulusSet,
-    *,
-    groups: int,
-    further: Further | None = None,
+    settings: Settings, stimuli: StimulusSet, *, groups: int, further: Further | None = None
 ) -> Table:
     """Tabulate what participants are asked to judge, one of each group; all ratings are 0."""
-    design = read.make_design(settings, study.path)
+    design = read.make_design(settings)
     rows = []
     for number in range(1, groups + 1):
         who = f"sim{number:03d}"

@@ -4,7 +4,6 @@ import csv
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from feel321 import intake
 from feel321.doors import follow
 from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
-from feel321.protocols.texts import list_borrowed, make_scales
+from feel321.protocols.texts import make_scales
 from feel321.protocols.trial import CHOOSING, Item
 from feel321.stimuli.condition import condition
 from feel321.stimuli.match import HIGHEST_HZ
@@ -209,7 +208,7 @@ def _check_set(
     yield from damage
     if not damage:
         # The tasks of every group must find the stimuli that they need.
-        design, groups = _keep_choosing(read.make_design(settings, study.path))
+        design, groups = _keep_choosing(read.make_design(settings))
         stimuli = read_stimuli(study.stimuli)
         problems: dict[str, None] = {}
         for number in range(1, groups + 1):
@@ -258,7 +257,7 @@ def _check_texts(study: StudyFolder, settings: Settings) -> Iterator[str]:
             yield f"recording {entry.title!r}: {place}: no such picture; put it there"
     try:
         texts = read.read_study_texts(settings, study.path)
-        questions = read.make_design(settings, study.path).questions
+        questions = read.make_design(settings).questions
     except OSError as error:
         remedy = "put your texts there, or name a language of the catalogue"
         yield f"{error.filename}: {error.strerror}; {remedy}"
@@ -324,10 +323,6 @@ def find_warnings(
         for one in recordings
         if one.rate_hz / 2 < HIGHEST_HZ
     ]
-    language = read.find_language(settings, study.path)
-    if isinstance(language, Path) and (borrowed := list_borrowed(language)):
-        lacking = f"has no {', '.join(borrowed)}; the catalogue's is shown there"
-        remarks.append(f"{settings.session.language}: {lacking}")
     if settings.session.order == "random" and study.stimuli.exists():
         design, stimuli = read.make_design(settings), read_stimuli(study.stimuli)
         plan = make_plan(design, stimuli, "check", number=1, simulated=False)
