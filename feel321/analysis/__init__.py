@@ -13,7 +13,7 @@ from feel321.doors import import_lazily as _import_lazily
 
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
-    from feel321.analysis.association.correlate import compare_metrics, correlate
+    from feel321.analysis.association import compare_metrics, correlate
     from feel321.analysis.choices import predict_votes
     from feel321.analysis.consistency import rater_model
     from feel321.analysis.contrasts.bradley_terry import bradley_terry

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from feel321 import analysis, results, stimuli
-from feel321.analysis.association.correlate import correlate
+from feel321.analysis.association import correlate
 from feel321.analysis.contrasts import compare
 from feel321.analysis.report.reducers import compute_contrasts
 from feel321.analysis.report.section import find_row
