@@ -37,15 +37,6 @@ MOST_GUESSES = 20  # unknown texts that are told what they may have meant, some 
 WORDS = {"question": "", "low_label": "", "high_label": ""}  # what a scale of a lab's own must have
 
 
-@dataclass(frozen=True, slots=True)
-class PageText:
-    """Headline and text of a page; `{answered}` and `{total}` stand for numbers of trials."""
-
-    key: str
-    title: str
-    text: str
-
-
 def list_languages() -> tuple[str, ...]:
     """List the language codes of the catalogue."""
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in CATALOG.iterdir()))
@@ -188,11 +179,7 @@ def _list_placeholders(text: str) -> str:
 # Question pages.
 
 KINDS = ("choice", "number", "text", "likert")  # of questions
-TIMES = (
-    "before",
-    "between",
-    "after",
-)  # after the consent, before each rest between trials, at the end
+TIMES = ("before", "between", "after")  # after the consent, before each rest, at the end
 
 READY: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "demographics": {
