@@ -111,10 +111,8 @@ class Study:
         faults = find_faults(self.folder)
         return replace(found, warnings=(*found.warnings, *faults), notes=(*found.notes, *frozen))
 
-    def build(self, workers: int | Workers = 1, *, no_page: bool = False) -> StimulusSet:
+    def build(self, workers: int | Workers = 1) -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
-
-        Open stimuli/index.html in a browser to see, measure and hear every stimulus.
 
         Example: feel321 build my-study --workers 2
 
@@ -122,15 +120,12 @@ class Study:
         ----------
         workers : int or Workers
             Number of processes, or who else does the work.
-        no_page : bool
-            No stimuli/index.html.
         """
         from feel321.stimuli.sets.build import find_copies
         from feel321.study.workflow import build_study
 
-        page = not no_page
         with follow(self.progress, "build") as step:
-            facts, stimuli = build_study(self.folder, workers=workers, page=page, progress=step)
+            facts, stimuli = build_study(self.folder, workers=workers, progress=step)
         noticed = [f"{one.name}: {text}" for one in facts for text in one.warnings]
         for text in (*noticed, *find_copies(facts)):
             self._warn(text)
@@ -174,7 +169,6 @@ class Study:
         manifest: PathLike | None = None,
         out: PathLike | None = None,
         metrics: Sequence[str] = (),
-        rivals: bool = False,
         draws: int | None = None,
     ) -> Results:
         """Relate the ratings to the match metrics and write the report.
@@ -185,7 +179,6 @@ class Study:
         Example: feel321 analyze my-study
                  feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
                  feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match
-                 feel321 analyze my-study --rivals
 
         Parameters
         ----------
@@ -197,8 +190,6 @@ class Study:
             Where to, instead of report/.
         metrics : sequence of str
             A numeric manifest column to analyze; repeatable.  [default: as declared]
-        rivals : bool
-            Also rank all metrics, corrected for how many were tried.
         draws : int, optional
             Bootstrap draws per interval; as study.toml declares by default.
         """
@@ -221,7 +212,6 @@ class Study:
                 manifest=None if manifest is None else as_path(manifest),
                 metrics=metrics or None,
                 draws=draws,
-                rivals=rivals,
                 out=None if out is None else target,
                 progress=step,
                 finish=partial(write_methods, self.folder) if ratings is None else None,
@@ -289,7 +279,7 @@ class Study:
         """Find how many participants, recordings and reducers a study needs.
 
         Simulates this very study: its stimuli, protocols, primary model and Holm's method. Writes a page, tables
-        and JSON into STUDY/power. After Ctrl-C the same command continues.
+        and JSON into STUDY/power.
 
         Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
 
@@ -327,7 +317,12 @@ class Study:
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
-        sizes = [participants, recordings, reducers, repeats]
+        sizes = {
+            "participants": participants,
+            "recordings": recordings,
+            "reducers": reducers,
+            "repeats": repeats,
+        }
         recording = recording_output(self.folder, "power", target, now=self.now)
         with recording, follow(self.progress, "power") as step:
             further = measure_declared(self.folder, self.settings)
@@ -336,10 +331,9 @@ class Study:
             )
             found = power.plan_study(
                 task,
-                dict(zip(power.SIZES, sizes, strict=True)),
+                sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                keep=target / power.KEPT,
                 workers=as_workers(workers),
                 progress=step,
             )

@@ -67,7 +67,7 @@ def test_what_is_said_of_reducers_reaches_as_far_as_the_study(
 ) -> None:
     table = Table(tidy(1, participants=people, recordings=scenes, spectral=80.0), METRICS, ())
     (line,) = render_words("contrasts", **reducers.compute_contrasts(table, CHOICES).facts)
-    assert line.endswith(f"; {hint} a hint rather than a result." if hint else "tested.")
+    assert line.endswith(f"; {hint}, a hint rather than a result." if hint else "tested.")
 
 
 def make_arms(tidy: Callable[..., pd.DataFrame], **changes: object) -> pd.DataFrame:

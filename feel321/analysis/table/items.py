@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
-
 OTHER = "other_id"  # Column of the second stimulus of a choice
 SPOKEN = ("stimulus", "item")  # Other names of the column `stimulus_id`
 ARMS = ("scale", "level")  # Columns of which one model or one correlation takes a single value
@@ -54,9 +53,6 @@ class Table(Result):
         What was left out and what was assumed, one sentence each.
     further : tuple of str
         Columns of metrics that are explored only.
-    rivals : tuple of str
-        Columns of metrics that are compared with each other, those of the primary analysis among them; empty where
-        no comparison was asked for.
     info : Mapping of str to MetricInfo
         What each metric declares of itself: which way it points, its bounds, label and unit.
     stimuli : DataFrame, indexed by stimulus_id, optional
@@ -83,7 +79,6 @@ class Table(Result):
     metrics: tuple[str, ...]
     notes: tuple[str, ...]
     further: tuple[str, ...] = ()
-    rivals: tuple[str, ...] = ()
     info: Mapping[str, MetricInfo] = field(default_factory=dict)
     stimuli: DataFrame | None = None
 
@@ -100,7 +95,7 @@ class Table(Result):
         Table
             The same metrics and notes, and fewer rows.
         """
-        return replace(self, rows=_choose(self.rows, scale, level).reset_index(drop=True))
+        return replace(self, rows=_choose(self.rows, scale, level))
 
     def items(self) -> DataFrame:
         """Average the ratings of every stimulus.
@@ -154,9 +149,8 @@ class Table(Result):
 
 def is_tidy(given: object) -> TypeGuard[Table | DataFrame]:
     """Tell whether these are ratings, one row per judgement, and not an array of them."""
-    return isinstance(given, Table) or {"participant", "rating"} <= set(
-        getattr(given, "columns", ())
-    )
+    columns = set(getattr(given, "columns", ()))
+    return isinstance(given, Table) or {"participant", "rating"} <= columns
 
 
 def as_votes(given: Table | ArrayLike) -> ArrayLike:
@@ -181,11 +175,11 @@ def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFr
 
 
 def _choose(rows: DataFrame, scale: str | None, level: str | None) -> DataFrame:
-    for column, name in (("scale", scale), ("level", level)):
+    for column, name in zip(ARMS, (scale, level), strict=True):
         if name is not None:
             known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
             rows = rows[known == check_name(name, sorted(known.unique()), column)]
-    return rows
+    return rows.reset_index(drop=True)
 
 
 def choose_arms(
@@ -239,17 +233,15 @@ def leave_rejected(
 
 def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     """Leave out hidden references and anchors: chosen to be far apart, they would inflate every slope."""
-    tested = ratings[ROLE] == TEST if ROLE in ratings else None
-    if tested is None or tested.all():
+    if ROLE not in ratings or (tested := ratings[ROLE] == TEST).all():
         return ratings, ()
-    n, what = (
-        int((~tested).sum()),
-        "of other stimuli than test stimuli (hidden references, anchors)",
-    )
+    n = int((~tested).sum())
     if n == len(ratings):
         raise ValueError(f"ratings must be of test stimuli, got no row with role 'test' among {n}")
-    note = f"{n} rating {what} is left out." if n == 1 else f"{n} ratings {what} are left out."
-    return ratings[tested], (note,)
+    left = (
+        f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli (hidden references, anchors)"
+    )
+    return ratings[tested], (f"{left} {'are' if n > 1 else 'is'} left out.",)
 
 
 def name_stimuli(ratings: DataFrame) -> DataFrame:
@@ -257,21 +249,21 @@ def name_stimuli(ratings: DataFrame) -> DataFrame:
     if STIMULUS in ratings:
         return ratings
     if {"recording", "reducer"} <= set(ratings):
-        keys = [name for name in NAMING if name in ratings]
-        names = ratings[keys[0]].astype(str)
-        for key in keys[1:]:
-            names = names + "/" + ratings[key].astype(str)
-        return ratings.assign(**{STIMULUS: names.where(ratings[keys].notna().all(axis=1))})
+        first, *others = (ratings[name] for name in NAMING if name in ratings)
+        names, known = first.astype(str), first.notna()
+        for one in others:
+            names, known = names + "/" + one.astype(str), known & one.notna()
+        return ratings.assign(**{STIMULUS: names.where(known)})
     spoken = next((name for name in SPOKEN if name in ratings), None)
     return ratings.assign(**{STIMULUS: ratings[spoken]}) if spoken else ratings
 
 
 def name_items(ratings: DataFrame) -> DataFrame:
     """Give a table the column ``item``, a stimulus, as models take it."""
-    if "item" in ratings:
-        return ratings
-    named = name_stimuli(ratings)
-    return named.assign(item=named[STIMULUS]) if STIMULUS in named else named
+    named = ratings if "item" in ratings else name_stimuli(ratings)
+    return (
+        named.assign(item=named[STIMULUS]) if "item" not in named and STIMULUS in named else named
+    )
 
 
 def open_tests(
@@ -376,10 +368,8 @@ def recast_pairs(rows: DataFrame) -> DataFrame:
     """Let a dissimilarity from the original be a rating of what was compared with it: 100 less the dissimilarity."""
     if ROLE not in rows or not (turned := (rows["scale"] == PAIRED) & (rows[ROLE] == TEST)).any():
         return rows
-    return rows.assign(
-        scale=rows["scale"].mask(turned, RECAST),
-        rating=rows["rating"].mask(turned, HIGHEST - rows["rating"]),
-    )
+    scale = rows["scale"].mask(turned, RECAST)
+    return rows.assign(scale=scale, rating=rows["rating"].mask(turned, HIGHEST - rows["rating"]))
 
 
 def find_sources(rows: Table | DataFrame) -> Series:
@@ -407,8 +397,7 @@ class Items:
 
     ratings: (n_participants, n_items), NaN where there is none; metrics: (n_metrics, n_items); recordings: (n_items,),
     number of the recording that each item was made from, from 0; sources: (n_recordings,), number of the source of each
-    recording, from 0; reducers: (n_items,), number of the reducer, None where none made stimuli of several recordings:
-    nothing is then known of what stimuli of one reducer share.
+    recording, from 0.
     """
 
     names: tuple[str, ...]
@@ -417,7 +406,6 @@ class Items:
     recordings: NDArray[np.intp]
     sources: NDArray[np.intp] | None = None
     notes: tuple[str, ...] = ()
-    reducers: NDArray[np.intp] | None = None
 
     @property
     def n_participants(self) -> int:
@@ -443,11 +431,6 @@ class Items:
     def n_sources(self) -> int:
         """Number of sources: what is independent of each other among recordings."""
         return int(self.of_source.max()) + 1
-
-    @property
-    def n_reducers(self) -> int:
-        """Number of reducers, 0 where they are not known or none made stimuli of several recordings."""
-        return 0 if self.reducers is None else int(self.reducers.max()) + 1
 
     @property
     def n_missing(self) -> int:
@@ -478,13 +461,8 @@ def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
     means = Series(rating[order]).groupby(item * len(cells) + person).mean()
     cells[means.index % len(cells), means.index // len(cells)] = means
     recordings = np.unique(facts["recording"], return_inverse=True)[1]
-    sources = reducers = None
+    sources = None
     if "source" in rows:
         sources = factorize(find_sources(rows).to_numpy(), sort=True)[0]
-    if "reducer" in rows and not rows["reducer"].isna().any():
-        of_row = factorize(rows["reducer"], sort=True)[0][order]
-        numbers = np.asarray(of_row[first], dtype=np.intp)
-        crossed = recordings.max() > 0 and len(np.unique(numbers)) < len(numbers)
-        reducers = numbers if crossed and (of_row == numbers[item]).all() else None
     values = np.array([facts[name] for name in metrics])
-    return Items(tuple(map(str, names)), cells, values, recordings, sources, notes, reducers)
+    return Items(tuple(map(str, names)), cells, values, recordings, sources, notes)

@@ -24,7 +24,7 @@ from feel321.study.commands.shared import (
     verb,
     within,
 )
-from feel321.study.folder import StudyFolder, list_bundled, read_template, require_study
+from feel321.study.folder import StudyFolder, list_bundled, read_template
 from feel321.study.study import Study
 
 if TYPE_CHECKING:
@@ -40,31 +40,18 @@ def new(
     *,
     study: Annotated[str | None, about("A ready study.", choices=list_bundled())] = None,
     methods: Annotated[bool, about("Also examples of your own methods, in methods/.")] = False,
-    texts: Annotated[str | None, about("Only write the participants' texts: en or de.")] = None,
     all_settings: Annotated[bool, about("Only print every setting.")] = False,
 ) -> None:
     """Begin a study: a commented study.toml, ready to use.
 
     Example: feel321 new my-study
              feel321 new my-study --study park2019
-             feel321 new my-study --texts de
              feel321 new --all-settings
     """
     if all_settings:
         from feel321.study.all_settings import FILES, write_list
 
         shared.echo("\n".join(map(write_list, FILES)).rstrip("\n"))
-    elif texts is not None:
-        from feel321.doors import refuse_name
-        from feel321.files import create_text
-        from feel321.protocols.texts import COPY_FILE, list_languages, write_copy
-
-        if texts not in (languages := list_languages()):
-            shared.refuse_use(refuse_name(texts, languages, "--texts"))
-        path = require_study(folder or Path()).path / COPY_FILE
-        create_text(path, write_copy(texts))
-        use = f'in study.toml under [session]: language = "{COPY_FILE}"'
-        shared.echo(f"{path}: edit it, then {use}")
     elif folder is None:
         shared.refuse_use("name the folder of the new study")
     elif study and methods:
@@ -128,7 +115,7 @@ def _check_method(folder: Path, name: str, kind: str | None, *, as_json: bool) -
     return 1 if failed else 0
 
 
-@verb(Study.build, crew=Crew, no_page=bool)
+@verb(Study.build, crew=Crew)
 def build(opened: Study, stimuli: "StimulusSet", *, as_json: bool) -> None:
     """Print how many stimuli there are, and what is worth knowing of their gains."""
     from feel321.study.strength import describe_built
@@ -264,7 +251,6 @@ def demo(*, out: Home = Path("demo-study")) -> None:
     manifest=File | None,
     out=Out,
     metrics=Several,
-    rivals=bool,
 )
 def analyze(_opened: Study, found: "Results", *, as_json: bool) -> None:
     """Print where the report is."""
