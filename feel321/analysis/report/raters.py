@@ -118,7 +118,6 @@ def _add_models(found: Found, single: DataFrame, hit: set[str]) -> None:
             ends = {f"{name}_low": frame[name] - half, f"{name}_high": frame[name] + half}
             frame = frame.assign(**ends)
         found.add("rater_model", frame, **part.keys)
-        found.add("rater_model_fit", [model], n=model.n_ratings, **part.keys)
         models.append(_describe_model(part, model))
         drawn.append(frame.assign(series=part.subject, name=frame["participant"].astype(str)))
     if drawn:
@@ -206,6 +205,4 @@ def compute_delivered(table: Table, choices: Choices) -> Found:  # noqa: ARG001 
     found.add("delivered", matched)
     found.add("level_errors", levels)
     found.facts = {"levels": levels, "matched": matched, "n": len(rows)}
-    columns = ["reducer", *names, *(name + SUFFIX for name in names)]
-    found.draw("delivered", "delivered", items[columns], names, errors.get(ERROR, ()), says={})
     return found
