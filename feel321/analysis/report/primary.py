@@ -18,7 +18,7 @@ from feel321.analysis.report.section import Found, Row, read_ends
 from feel321.analysis.table.items import Part, split_tests
 from feel321.analysis.table.metrics import ROTATIONS, TENTH
 from feel321.analysis.table.schema import STAND_INS
-from feel321.analysis.words import format_count, format_name
+from feel321.analysis.words import format_name
 
 if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
@@ -178,7 +178,7 @@ def conclude_slope(analysis: Analysis, row: Row) -> Row:
             str(pair["second"] if pair["first"] == metric else pair["first"])
             for pair in pairs if metric == find_better(pair)
         ],
-        "few": [format_count(size, name) for name, size in analysis.units.items() if size < least],
+        "few": parts.list_few(analysis.units, least),
         "beyond_level": sensitivity.judge_level(model.level, row["p_holm"], row["plain_p_holm"]),
     }  # fmt: skip
 
