@@ -167,21 +167,17 @@ def _scale(found: Found, part: Part, table: Table, *, draws: int, rng: np.random
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
-    from feel321.analysis.contrasts.told_apart import discriminate_pairs
+    from feel321.analysis.contrasts.told_apart import discriminate
 
     found = Found(key="discrimination")
     rows = table.rows[(table.rows["scale"] == ANSWERED) & (table.rows["role"] != "reference")]
-    right = rows["rating"] == HIGHEST
-    trials = rows.assign(first=rows["reducer"], second="reference", correct=right)
-    records: list[Row] = []
-    for (level, reducer), part in trials.groupby(["level", "reducer"], observed=True):
-        one = discriminate_pairs(part)[None]
-        records.append({**one, "level": level, "reducer": reducer})
-        found.notes += [f"ABX, {reducer}, {level}: {note}" for note in one.notes]
-    if not records:
+    if rows.empty:
         return found
-    frame = pd.DataFrame(records)
+    frame = discriminate(rows)
     frame["p_holm"] = adjust_holm(frame["p"].tolist())
+    for row in frame.to_dict("records"):
+        lead = f"ABX, {row['reducer']}, {row['level']}"
+        found.notes += [f"{lead}: {note}" for note in row["notes"]]
     found.add("discrimination", frame)
     apart, n = int((frame["p_holm"] < parts.SIGNIFICANCE).sum()), len(frame)
     found.facts = {"apart": apart, "n": n}
