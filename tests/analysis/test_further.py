@@ -11,7 +11,7 @@ from feel321.analysis.page import render_words
 from feel321.analysis.report import correlations, primary
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
-from feel321.analysis.table.metrics import describe_further
+from feel321.analysis.table.metrics import FURTHER
 from feel321.analysis.table.reading import Further, read_table
 from feel321.names import MATCHES
 
@@ -61,8 +61,8 @@ def test_every_metric_may_be_told_in_four_more_ways() -> None:
         "spectral_match_bounded": [],  # bounded, and no orientation changes it
     }
     every = [[*(f"{metric}_{kind}" for kind in kinds), *own[metric]] for metric in MATCHES]
-    assert list(describe_further()) == list(chain(*every))
-    meanings = list(describe_further().values())
+    assert list(FURTHER) == list(chain(*every))
+    meanings = list(FURTHER.values())
     assert len(set(meanings)) == len(meanings)
 
 

@@ -316,11 +316,11 @@ ORIGINAL, STAR = "original", Look(style.BLACK, "*")
 """The hidden reference, and how it is drawn."""
 
 
-def draw_space(ellipses: Statistic, names: Sequence[str]) -> Figure:
+def draw_space(space: Statistic, names: Sequence[str]) -> Figure:
     """Draw the group's map with an ellipse per stimulus; a star is the original."""
     from matplotlib.patches import Ellipse
 
-    n = len(ellipses.space.positions)
+    n, ellipses = len(space.positions), space.ellipses
     if len(names) != n or len(set(names)) != n:
         raise ValueError(
             f"names must be one for each of {n} stimuli, got {len(set(names))} different ones"
@@ -328,17 +328,19 @@ def draw_space(ellipses: Statistic, names: Sequence[str]) -> Figure:
     looks = style.assign_looks([name for name in names if name != ORIGINAL]) | {ORIGINAL: STAR}
     with style.print_style():
         figure, axes = style.new_figure(MAP_CM)
-        shapes = (names, ellipses.space.positions, ellipses.half_axes, ellipses.angle)
+        shapes = (names, space.positions, ellipses.half_axes, ellipses.angle)
         for name, place, half, angle in zip(*shapes, strict=True):
             look = looks[name]
             fill: dict[str, Any] = {"facecolor": look.colour, "alpha": 0.15, "linewidth": 0}
             axes.add_patch(Ellipse(tuple(place), *(2 * half), angle=float(angle), **fill))
             style.plot_marks(axes, place[0], place[1], look=look, size=9.0 if look == STAR else 4.5)
-        unit = "rank order only" if ellipses.space.ordinal else "unit of dissimilarity"
-        axes.set(xlabel=f"Dimension 1 ({unit})", ylabel=f"Dimension 2 ({unit})")
+        axes.set(
+            xlabel="Dimension 1 (unit of dissimilarity)",
+            ylabel="Dimension 2 (unit of dissimilarity)",
+        )
         axes.autoscale_view()
         axes.set_aspect("equal", adjustable="datalim")
-        stress, people = ellipses.space.stress, ellipses.n_participants
+        stress, people = space.stress, ellipses.n_participants
         title = (
             f"Stress-1 = {stress:.2f}; ellipses: n = {people} participants, {ellipses.draws} draws."
         )

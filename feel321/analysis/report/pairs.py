@@ -13,7 +13,7 @@ from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
-from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, PAIRED
+from feel321.analysis.table.schema import CHOSEN, HIGHEST, PAIRED
 from feel321.analysis.words import format_count, format_level, format_name
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _predict(found: Found, part: Part, table: Table) -> None:
     """Count how many choices each metric predicts."""
     from feel321.analysis.choices import gather_votes, predict
 
-    one = predict(gather_votes(table, metrics=table.metrics))
+    one = predict(gather_votes(table, table.metrics))
     keys: Row = {**part.keys, "n": one.n_votes}
     shares = one.to_frame().assign(n_choices=one.n_votes)
     found.add("choices_predicted", shares, **keys)
@@ -126,7 +126,7 @@ def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[s
     for name in (name for name in tested if any((ids == name).any() for ids in both)):
         rest = replace(table, rows=rows[(both[0] != name) & (both[1] != name)])
         try:
-            left = predict(gather_votes(rest, metrics=metrics)).shares.loc[metric]
+            left = predict(gather_votes(rest, metrics)).shares.loc[metric]
         except ValueError:
             continue
         if not (left["p_holm"] < parts.SIGNIFICANCE and left["share"] > CHANCE):
@@ -169,15 +169,12 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
     """Evaluate ABX trials per reducer, against whatever its reference was."""
     from feel321.analysis.contrasts.told_apart import discriminate
 
-    found = Found(key="discrimination")
-    rows = table.rows[(table.rows["scale"] == ANSWERED) & (table.rows["role"] != "reference")]
-    if rows.empty:
+    found, frame = Found(key="discrimination"), discriminate(table)
+    if frame.empty:
         return found
-    frame = discriminate(rows)
+    for one in frame.to_dict("records"):
+        found.notes += [f"ABX, {one['reducer']}, {one['level']}: {note}" for note in one["notes"]]
     frame["p_holm"] = adjust_holm(frame["p"].tolist())
-    for row in frame.to_dict("records"):
-        lead = f"ABX, {row['reducer']}, {row['level']}"
-        found.notes += [f"{lead}: {note}" for note in row["notes"]]
     found.add("discrimination", frame)
     apart, n = int((frame["p_holm"] < parts.SIGNIFICANCE).sum()), len(frame)
     found.facts = {"apart": apart, "n": n}
@@ -233,25 +230,25 @@ def compute_space(table: Table, choices: Choices) -> Found:
     def fit(rows: DataFrame, level: str) -> tuple[Any, Statistic, Sequence[float]]:
         rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
         names, matrices = spaces.gather_dissimilarities(rows)
-        ellipses = spaces.bootstrap_space(matrices, draws=draws, rng=rng)
+        space = spaces.fit_space(matrices, draws=draws, rng=rng)
         rng = choices.make_rng("space", level, "stress")
-        return names, ellipses, spaces.stress_by_dimension(matrices, rng=rng)
+        return names, space, spaces.stress_by_dimension(matrices, rng=rng)
 
     for level in sorted(dissimilar["level"].unique()):
         rows, lead = dissimilar[dissimilar["level"] == level], f"{PAIRED}, {level}"
         mapped = found.attempt(f"{lead}: no map.", fit, rows, level)
         if mapped is None:
             continue
-        names, ellipses, stress = mapped
-        found.draw("map", parts.make_slug("space", level), ellipses, names, says={"level": level})
+        names, space, stress = mapped
+        found.draw("map", parts.make_slug("space", level), space, names, says={"level": level})
         keys: Row = {"level": level, "n": len(names)}
-        places = pd.DataFrame(ellipses.space.positions, columns=["x", "y"])
-        places[["half_axis_1", "half_axis_2"]] = ellipses.half_axes
-        found.add("space", places.assign(reducer=names, angle=ellipses.angle), **keys)
+        places = pd.DataFrame(space.positions, columns=["x", "y"])
+        places[["half_axis_1", "half_axis_2"]] = space.ellipses.half_axes
+        found.add("space", places.assign(reducer=names, angle=space.ellipses.angle), **keys)
         sizes = ({"dimensions": n, "stress": value} for n, value in enumerate(stress, start=1))
         found.add("space_stress", sizes, **keys)
         why = f"{lead}: the map is compared with nothing else."
-        one = found.attempt(why, _relate, table, ellipses, names, level=level, choices=choices)
+        one = found.attempt(why, _relate, table, space, names, level=level, choices=choices)
         if one is not None:
             found.add("space_metrics", [one], note=f"{one.permutations} pairings", **keys)
             shown = one.p < parts.SIGNIFICANCE
@@ -268,7 +265,7 @@ def compute_space(table: Table, choices: Choices) -> Found:
 
 
 def _relate(
-    table: Table, ellipses: Statistic, names: Sequence[str], *, level: str, choices: Choices
+    table: Table, space: Statistic, names: Sequence[str], *, level: str, choices: Choices
 ) -> Statistic:
     """Compare the map with the metrics of its stimuli."""
     from feel321.analysis.space import align_spaces
@@ -281,7 +278,7 @@ def _relate(
     metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
     rng = choices.make_rng("space", level, "procrustes")
-    places = ellipses.space.positions[known]
+    places = space.positions[known]
     return align_spaces(places, scaled, permutations=choices.draws, rng=rng)
 
 

@@ -144,7 +144,7 @@ def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
         found |= {"low90": low90, "high90": high90, "p_equivalence": np.nan}
         if margin is not None and 0 < found["se"] < np.inf:
             test = compare.equivalence(*numbers, low=-margin, high=margin)
-            worse = compare.non_inferiority(*numbers, margin=-margin).p
+            worse = test.p_low  # Higher is better: not worse than the second by the margin.
             found |= {
                 "p_equivalence": test.p, "equivalent": bool(test.equivalent), "p_not_worse": worse, "limit": low90,
                 "told_equivalent": "yes" if test.equivalent else "not shown",
