@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass, field
 from importlib.resources import files
@@ -15,7 +16,7 @@ from feel321.records import Result
 from feel321.study.session.journal import PARTICIPANT_ID, list_journals
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -230,7 +231,27 @@ def read_template(bundled: str | None = None) -> str:
     return (BUNDLED / f"{bundled}.toml").read_text(encoding="utf-8")
 
 
-# Results of checking, auditing and sealing a study.
+# What verbs return.
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Outcome(Result):
+    """What a verb did: numbers, or the JSON file that holds them; lines for people; faults, or only that it failed."""
+
+    facts: Mapping[str, Any] | Path
+    lines: Sequence[str] = ()
+    faults: Sequence[str] = ()
+    failed: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers."""
+        if isinstance(self.facts, Path):
+            return dict(json.loads(self.facts.read_text(encoding="utf-8")))
+        return dict(self.facts)
+
+    def summary(self) -> str:
+        """Write the lines."""
+        return "\n".join(self.lines)
 
 
 class Findings(Result):
@@ -249,13 +270,17 @@ class Findings(Result):
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Problems(Findings):
-    """What stands in the way of a study; what may not be meant; how strong stimuli are; remarks on recordings."""
+    """What stands in the way of a study; what may not be meant; how strong stimuli are; remarks on recordings.
+
+    subject: what was checked, if not the study.
+    """
 
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
+    subject: str = ""
 
     def __add__(self, other: Problems) -> Problems:
         """Put what was found in two parts of a study together."""

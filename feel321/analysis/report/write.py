@@ -25,7 +25,7 @@ from feel321.analysis.screening.rules import RULES
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
-from feel321.doors import announce, as_path, as_seed, follow
+from feel321.doors import as_path, as_seed, follow
 from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
 
@@ -244,7 +244,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
             found = _compute(table, chosen, paper=paper, move=move)
             if paper is not None:
                 inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
-            announce("figures and pages")
             results = gather_results(table, found, inputs=inputs, about=about, choices=chosen)
             _write(table, results, found=found, target=target)
     return replace(results, path=target)
@@ -301,7 +300,6 @@ def _compute(
     # times as long on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
         for number, section in enumerate(SECTIONS, start=1):
-            announce(section.title.lower())
             found[section] = section.compute(table, chosen)
             move(number, len(SECTIONS))
         by_key = {section.key: one for section, one in found.items()}
