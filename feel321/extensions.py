@@ -5,8 +5,7 @@ A method is given as
 - an entry point's name (groups of `GROUPS`), from an installed package;
 - a dotted name, `mylab.haptics:my321`;
 - a file of the study, `methods/my321.py:my321`;
-- a table of `study.toml`, `[reducers.my321]`, with `use = "..."`, one of the above, `command = "..."`, any program, or
-  `file = "made/{recording}.wav"`, what was made of each recording elsewhere;
+- a table of `study.toml`, `[reducers.my321]`, with `use = "..."`, one of the above, or `command = "..."`, any program;
 - a function, in Python.
 
 The name behind the colon, or that of the table or entry point, is what stands in manifests, file names and tables; one
@@ -52,13 +51,12 @@ GROUPS: Mapping[str, str] = {
 
 OWN_FORMS = "mylab.haptics:my321, or methods/my321.py:my321"
 FORMS = f"a registered name, {OWN_FORMS}"  # how a method is given, for messages
-RECORDING = "{recording}"  # stands for a recording's name in that of a file made of it
 LONGEST_REASON = 200  # characters of a lab's own error message that are repeated
 
 _TURN = threading.RLock()
 """Held while a lab's code runs: standard output belongs to the process, and few functions expect two callers."""
 
-Origin = Literal["file", "module", "function", "command", "made"]
+Origin = Literal["file", "module", "function", "command"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +82,7 @@ class Method:
     @property
     def is_python(self) -> bool:
         """Whether it is imported and called."""
-        return self.origin not in {"command", "made"}
+        return self.origin != "command"
 
     def load(self) -> Any:  # noqa: ANN401 - whatever the lab wrote
         """Import it, once per process; a class is called without arguments for its object."""
@@ -170,20 +168,17 @@ def list_entry_points(kind: str) -> dict[str, str]:
 def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Path) -> Method:
     """Find the method of a table of the study."""
     own = {key: value for key, value in table.items() if value is not None}
-    forms = {form: own.pop(form) for form in ("use", "command", "file") if form in own}
+    forms = {form: own.pop(form) for form in ("use", "command") if form in own}
     if len(forms) != 1:
-        third = ' or file = "made/{recording}.wav"' if kind == "reducer" else ""
         raise ValueError(
-            f'{kind} {name!r}: its table must say either use = "..." or command = "..."{third}; use takes {FORMS}'
+            f'{kind} {name!r}: its table must say either use = "..." or command = "..."; use takes {FORMS}'
         )
     (form, place), facts = *forms.items(), tuple(sorted(own.items()))
     if form == "use":
         found = _find_named(kind, place, folder=folder)
         return replace(found, name=name, facts=facts, folder=folder)
-    is_command = form == "command"
-    files = (_list_named if is_command else _list_made)(kind, name, place, folder=folder)
-    origin: Origin = "command" if is_command else "made"
-    return Method(kind, name, place, _digest(files, place), origin, facts, folder)
+    files = _list_named(kind, name, place, folder=folder)
+    return Method(kind, name, place, _digest(files, place), "command", facts, folder)
 
 
 def _find_named(kind: str, given: str, *, folder: Path, known: Collection[str] = ()) -> Method:
@@ -302,17 +297,6 @@ def _list_named(kind: str, name: str, command: str, *, folder: Path) -> dict[str
             if path.is_file() and path.resolve().is_relative_to(folder):
                 found[word] = path
     return found
-
-
-def _list_made(kind: str, name: str, file: str, *, folder: Path) -> dict[str, Path]:
-    """List the files that were made of recordings: all that are there."""
-    if file.count(RECORDING) != 1 or Path(file).is_absolute() or ".." in Path(file).parts:
-        raise ValueError(
-            f"{kind} {name}: file must be in the study's folder and name each recording's by {RECORDING} once, such as "
-            f"made/{RECORDING}.wav; got {file!r}"
-        )
-    found = (one for one in folder.glob(file.replace(RECORDING, "*")) if one.is_file())
-    return {one.relative_to(folder).as_posix(): one for one in found}
 
 
 # Loading, and calling under guard.

@@ -1,8 +1,13 @@
 """Names of reducers and metrics, and what each metric declares: data, for what reads tables and needs no signals."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Literal, NamedTuple
 
-from feel321.doors import Registry
+from annotated_types import Interval
+
+from feel321.doors import Registry, check_name
 from feel321.types import MetricInfo
 
 MOST_DB = (
@@ -62,12 +67,64 @@ MEASURES: Mapping[str, str] = Registry(
 """What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of
 `feel321.analysis.replication`."""
 
-EXPECTATIONS = ("positive", "negative", "near", "highest", "lowest")
+Expectation = Literal["positive", "negative", "near", "highest", "lowest"]
 """What a paper's claim says of its number: on which side of zero, near the paper's, or above or below all others."""
 
-PROVENANCE = (
-    "full text",
-    "abstract",
-    "ours",
-    "unknown",
-)  # where a statement about a paper was seen
+Provenance = Literal["full text", "abstract", "ours", "unknown"]
+"""Where a statement about a paper was seen."""
+
+Number = Annotated[float, Interval(ge=-1e9, le=1e9)]
+
+OPTIONS = (
+    "scale", "level", "metric", "metrics", "reducer", "among", "recording", "method", "attribute",
+)  # fmt: skip
+"""What a measure may need to know; `scale` and `level` choose the ratings."""
+
+
+class PaperNumber(NamedTuple):
+    """A paper's number and its range; NaN where it is not known."""
+
+    value: Number = math.nan
+    low: Number = math.nan
+    high: Number = math.nan
+
+
+NO_NUMBER = PaperNumber()
+
+
+@dataclass(frozen=True, slots=True)
+class PaperClaim:
+    """A claim of a paper, `[[paper.claims]]` of study.toml.
+
+    measure: of `MEASURES`. exceptions: reducers that the paper names as exceptions. options: of `OPTIONS`.
+    """
+
+    name: str
+    claim: str
+    source: Provenance
+    measure: str
+    expect: Expectation = "positive"
+    paper: PaperNumber = NO_NUMBER
+    exceptions: tuple[str, ...] = ()
+    options: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse names that are none, and numbers out of order."""
+        for what in ("name", "claim"):
+            if not getattr(self, what).strip():
+                raise ValueError(f"{what} must not be empty; fill it in")
+        check_name(self.measure, MEASURES, "measure")
+        value, low, high = self.paper
+        if self.expect == "near" and not math.isfinite(low + high):
+            raise ValueError(
+                "must give the paper's low and high where it expects near; add paper = { low = ..., high = ... }"
+            )
+        known = [one for one in (low, value, high) if not math.isnan(one)]
+        if math.isnan(low) != math.isnan(high) or known != sorted(known):
+            rule = "must have a value, or low and high, or all three in that order"
+            raise ValueError(f"paper {rule}, got {known}")
+        for name, own in self.options.items():
+            check_name(name, OPTIONS, "options")
+            if name != "metrics" and isinstance(own, str) == (name == "among"):
+                must = "a list of names" if name == "among" else "a text"
+                raise ValueError(f"options.{name} must be {must}, got {own!r}")

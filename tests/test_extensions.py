@@ -141,53 +141,6 @@ def test_taken_names_and_places_outside_the_study_are_refused(study: Path) -> No
             OwnReducer(find_method("reducer", given, taken=stimuli.REDUCERS, folder=study))
 
 
-MADE = {"made321": {"file": "made/{recording}.wav"}}
-
-
-def find_made(folder: Path, declared: dict[str, dict[str, object]] | None = None) -> OwnReducer:
-    return OwnReducer(find_method("reducer", "made321", folder=folder, declared=declared or MADE))
-
-
-def test_what_was_made_elsewhere_is_read_for_each_recording(study: Path) -> None:
-    scenes = [stimuli.make_scene(name, duration_s=0.3) for name in ("bumps", "hard_taps")]
-    (study / "made").mkdir()
-    for scene in scenes:
-        ready = stimuli.condition(scene, stimuli.Conditioning())
-        sums = stimuli.REDUCERS["soc321"](ready.acceleration, ready.rate_hz)
-        stimuli.write_wav(study / "made" / f"{scene.name}.wav", sums, int(ready.rate_hz))
-    own = find_made(study)
-    built = stimuli.build_stimuli(scenes, study / "set", reducers=["soc321", own.method])
-    for scene in scenes:
-        made, here = (built[f"{scene.name}__{name}__as_is"] for name in ("made321", "soc321"))
-        assert made.spectral_match == pytest.approx(here.spectral_match, abs=1e-4)
-    stimuli.write_wav(study / "made" / "bumps.wav", np.zeros(3000), 10000)
-    assert find_made(study).method.sha256 != own.method.sha256
-
-
-def test_what_was_made_elsewhere_is_refused_where_it_does_not_fit(study: Path) -> None:
-    (study / "made").mkdir()
-    with pytest.raises(ValueError, match="for the study's recordings only; leave it out here"):
-        find_made(study)(SCENE.acceleration, SCENE.rate_hz)
-    with pytest.raises(ValueError, match=r"there is no made/bumps\.wav; put it there"):
-        stimuli.build_stimuli(SCENE, study / "set", reducers=[find_made(study).method])
-    (study / "made" / "bumps.wav").write_bytes(b"RIFF")
-    with pytest.raises(ValueError, match=r"made/bumps\.wav cannot be read as a WAV file"):
-        stimuli.build_stimuli(SCENE, study / "set", reducers=[find_made(study).method])
-    stimuli.write_wav(study / "made" / "bumps.wav", np.zeros(3000), 8000)
-    with pytest.raises(ValueError, match="recording's rate of 10000 Hz, got 8000 Hz; resample it"):
-        stimuli.build_stimuli(SCENE, study / "set", reducers=[find_made(study).method])
-    stimuli.write_wav(study / "made" / "bumps.wav", np.zeros(2999), 10000)
-    with pytest.raises(
-        ValueError, match=r"numbers of shape \(3000,\), got float64 of shape \(2999,\)"
-    ):
-        stimuli.build_stimuli(SCENE, study / "set", reducers=[find_made(study).method])
-    (checked,) = check_method(find_made(study).method)
-    assert (checked.check, checked.passed) == ("loads", True)
-    for file in ("made/{input}.wav", "../{recording}.wav", "/{recording}.wav"):
-        with pytest.raises(ValueError, match="must be in the study's folder and name each"):
-            find_made(study, {"made321": {"file": file}})
-
-
 # Whatever is wrong with a lab's code, it is one line that says where, and nothing that was built is harmed.
 
 TAKEN = {"reducer": stimuli.REDUCERS, "metric": stimuli.METRICS}

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
 from feel321.analysis.words import INTERVALS
 from feel321.doors import check_name
-from feel321.names import MEASURES
+from feel321.names import MEASURES, PaperClaim
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -47,26 +47,6 @@ AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimab
 
 USUAL_LEVEL = "as_is"  # The level that a claim is about where it names none and there are several
 Ends = tuple[float, float, float]  # A value and the ends of its interval
-NO_NUMBER: Ends = (math.nan, math.nan, math.nan)
-
-
-@dataclass(frozen=True, slots=True)
-class PaperClaim:
-    """A claim of a paper.
-
-    source: where it was seen, one of `PROVENANCE`. expect: one of `EXPECTATIONS`. paper: the paper's number and its
-    range, NaN where it is not known. exceptions: reducers that the paper names as exceptions. options: what the
-    measure needs to know; `scale` and `level` choose the ratings.
-    """
-
-    name: str
-    claim: str
-    source: str
-    measure: str
-    expect: str = "positive"
-    paper: Ends = NO_NUMBER
-    exceptions: tuple[str, ...] = ()
-    options: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,7 +251,7 @@ def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
     """Average a metric of a reducer over recordings; options: metric, reducer, recording (one alone), among."""
     metric, reducer = require_option(claim, "metric"), require_option(claim, "reducer")
     found = tabulate_metric(table, metric)
-    if recording := claim.options.get("recording"):
+    if recording := str(claim.options.get("recording", "")):
         check_name(recording, sorted(found.index), "recording")
         found = found.loc[[recording]]
     elif table.stimuli is not None and "source" in table.stimuli:

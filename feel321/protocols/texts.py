@@ -21,10 +21,11 @@ from math import inf
 from numbers import Real
 from pathlib import Path
 from string import Formatter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from feel321 import intake
 from feel321.doors import check_name
+from feel321.names import Number  # noqa: TC001 - read when the settings are
 from feel321.protocols.trial import Page, Scale
 
 if TYPE_CHECKING:
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
 CATALOG = files("feel321.protocols") / "catalog"
 MODEL = "en"  # the language that every other one is compared with
-COPY_FILE = "texts.toml"  # a study's own texts, as `write_copy` writes them
 MOST_GUESSES = 20  # unknown texts that are told what they may have meant, some milliseconds each
 WORDS = {"question": "", "low_label": "", "high_label": ""}  # what a scale of a lab's own must have
 
@@ -91,26 +91,6 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> Iterator[tuple[st
         if fault := _find_fault(place, own[place], words) if place in own else "is missing":
             yield place, fault
     yield from ((place, "is not a known text") for place in own if place not in wanted)
-
-
-def list_borrowed(path: Path) -> list[str]:
-    """List the texts of the catalogue that an own file does without, if it has most of its own: a translation."""
-    own, base = _parse_own(path)
-    known, places = dict(_flatten(own)), [place for place, _ in _flatten(base)]
-    borrowed = [place for place in places if place not in known]
-    return borrowed if 2 * len(borrowed) < len(places) else []
-
-
-def write_copy(language: str) -> str:
-    """Write the texts of a language as a file of a study's own in which every text is still a comment."""
-    source = (CATALOG / f"{language}.toml").read_text(encoding="utf-8")
-    head = f"""# The texts of this study, where they are not those of feel321. Take the # from the lines to change;
-# delete the others if you like: what this file does not say stays as it is. In study.toml, under [session]:
-# language = "{COPY_FILE}". Then: feel321 check
-language = "{language}"  # of all that is not changed here
-
-"""
-    return head + re.sub(r"(?m)^(?![\[#]|$)", "# ", source)
 
 
 def _model_own_scales(texts: dict[str, Any], model: dict[str, Any]) -> dict[str, Any]:
@@ -187,25 +167,17 @@ def _list_placeholders(text: str) -> str:
 
 # Question pages.
 
-KINDS = ("choice", "number", "text", "likert")  # of questions
-TIMES = (
-    "before",
-    "between",
-    "after",
-)  # after the consent, before each rest between trials, at the end
+Kind = Literal["choice", "number", "text", "likert"]
+When = Literal["before", "between", "after"]
+"""When a question is asked: after the consent, before each rest between trials, at the end."""
 
-READY: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
-    "demographics": {
-        "age": {"kind": "number", "low": 5.0, "high": 120.0},
-        **{key: {"kind": "choice"} for key in ("gender", "handedness", "touch", "experience")},
-    }
-}
-"""Ready question pages, by name: their questions, without the texts, which every language of the catalogue holds."""
+KINDS: tuple[Kind, ...] = get_args(Kind)
+TIMES: tuple[When, ...] = get_args(When)
 
 PREFIX = "question."  # what the key of a question's page begins with; its name follows
-LABEL = re.compile(
-    r"[a-z][a-z0-9_]{0,39}"
-)  # names of questions and own scales: they stand in tables
+LABEL = re.compile(r"[a-z][a-z0-9_]{0,39}")
+LABEL_RULE = "must be up to 40 lower-case letters (a-z), digits and _, beginning with a letter"
+"""Names of questions and own scales: they stand in tables."""
 
 LEAST_OPTIONS, MOST_OPTIONS = 2, 9  # each has a digit
 MOST_QUESTIONS = 60
@@ -218,17 +190,25 @@ Answer = (
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A question page; options: what can be chosen, or the words of a Likert item's points, empty for none."""
+    """A question page, `[[session.questions]]` of study.toml.
+
+    options: what can be chosen, or the words of a Likert item's points, empty for none. low, high: of a number.
+    """
 
     name: str
-    kind: str
+    kind: Kind
     question: str
     options: tuple[str, ...] = ()
-    low: float | None = None
-    high: float | None = None
-    when: str = TIMES[0]
+    low: Number | None = None
+    high: Number | None = None
+    when: When = "before"
     personal: bool = False
     required: bool = True
+
+    def __post_init__(self) -> None:
+        """Refuse a question that nobody could answer."""
+        if fault := next(_find_question_faults(self), ""):
+            raise ValueError(fault)
 
     @property
     def key(self) -> str:
@@ -266,21 +246,15 @@ class Question:
 def check_label(name: str) -> str:
     """Demand a name that can stand in a table."""
     if not LABEL.fullmatch(name):
-        raise ValueError(
-            "must be up to 40 lower-case letters (a-z), digits and _, beginning with a letter"
-        )
+        raise ValueError(LABEL_RULE)
     return name
-
-
-def check_question(question: Question) -> None:
-    """Refuse a question that nobody could answer."""
-    if fault := next(_find_question_faults(question), ""):
-        raise ValueError(fault)
 
 
 def _find_question_faults(question: Question) -> Iterator[str]:
     kind, options, low, high = question.kind, question.options, question.low, question.high
     has_options, n_options = kind in {"choice", "likert"}, len(options)
+    if not (LABEL.fullmatch(question.name) and question.question.strip()):
+        yield f"name {LABEL_RULE}, and question not be empty; got {question.name!r} and {question.question!r}"
     if options and not has_options:
         yield f"options must be left out for kind {kind!r}, got {n_options}; remove them"
     if has_options and not LEAST_OPTIONS <= n_options <= MOST_OPTIONS:
@@ -293,19 +267,6 @@ def _find_question_faults(question: Question) -> Iterator[str]:
         yield f"low and high must not be numbers for kind {kind!r}; use kind 'number', or remove them"
     if low is not None and high is not None and low >= high:
         yield f"low must be below high, got {low:g} and {high:g}"
-
-
-def read_ready(name: str, texts: Mapping[str, Any], *, when: str = TIMES[0]) -> list[Question]:
-    """Read the questions of a ready page, which are personal and may be left open; texts: all of a language."""
-    own = texts["questions"][check_name(name, READY, "use")]
-    asked: dict[str, Any] = {"when": when, "personal": True, "required": False}
-    found = []
-    for key, facts in READY[name].items():
-        options = tuple(own[key].get("options", ()))
-        found.append(
-            Question(key, question=own[key]["question"], options=options, **facts, **asked)
-        )
-    return found
 
 
 def list_pages(questions: Iterable[Question], when: str) -> list[Page]:

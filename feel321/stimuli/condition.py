@@ -5,19 +5,23 @@ applied forwards and backwards (no phase shift, magnitude squared): at the corne
 """
 
 from dataclasses import dataclass, fields, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from annotated_types import Interval
 
 from feel321.stimuli.recording import Recording
 from feel321.types import Samples
 
 FILTER_ORDER = 4
 
+Seconds = Annotated[float, Interval(ge=0, le=86400)]
+Corner = Annotated[float, Interval(gt=0, le=1e9)]
+
 
 @dataclass(frozen=True, slots=True)
 class Conditioning:
-    """Conditioning steps, applied in this order; frequencies in Hz, times in s.
+    """Conditioning steps, applied in this order; frequencies in Hz, times in s; `[stimuli.conditioning]` of study.toml.
 
     Parameters
     ----------
@@ -37,10 +41,10 @@ class Conditioning:
     20.0
     """
 
-    crop_s: tuple[float, float] | None = None
+    crop_s: tuple[Seconds, Seconds] | None = None
     remove_offset: bool = True
-    high_pass_hz: float | None = 20.0
-    low_pass_hz: float | None = 1000.0
+    high_pass_hz: Corner | None = 20.0
+    low_pass_hz: Corner | None = 1000.0
 
     def __post_init__(self) -> None:
         """Refuse corners and crops that make no sense."""

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from feel321.doors import coerce_real, describe
-from feel321.extensions import RECORDING, Method, call, find_method, split_command
+from feel321.extensions import Method, call, find_method, split_command
 from feel321.files import temporary_folder
 from feel321.stimuli.recording import check_acceleration
 from feel321.stimuli.wav import read_wav, write_wav
@@ -50,13 +50,9 @@ def _call_on_copies(
 
 @dataclass(frozen=True, slots=True)
 class OwnReducer:
-    """A lab's reducer, with the calling form of `REDUCERS`.
-
-    recording: whose reduction is read, where it is made elsewhere.
-    """
+    """A lab's reducer, with the calling form of `REDUCERS`."""
 
     method: Method
-    recording: str = ""
 
     @property
     def __name__(self) -> str:
@@ -76,8 +72,6 @@ class OwnReducer:
         where = _describe_input(samples, rate_hz)
         if self.method.origin == "command":
             output: object = _run_program(self.method, samples, rate_hz)
-        elif self.method.origin == "made":
-            output = _read_made(self.method, self.recording, rate_hz)
         else:
             function = self.method.load()
             output = _call_on_copies(self.method, function, [samples], float(rate_hz), doing=where)
@@ -240,19 +234,6 @@ def _run_program(
                 f"{method}: the command wrote no file at {{output}}; it must write a WAV file there"
             )
         return _read_output(method, target, rate_hz, name="{output}")
-
-
-def _read_made(method: Method, recording: str, rate_hz: float) -> Samples:
-    """Read what was made of a recording elsewhere, m/s² in a WAV file."""
-    if not recording:
-        raise ValueError(
-            f"{method}: was made elsewhere, for the study's recordings only; leave it out here"
-        )
-    file = method.place.replace(RECORDING, recording)
-    path = (method.folder or Path()) / file
-    if not path.is_file():
-        raise ValueError(f"{method}: there is no {file}; put it there, or take {method.name} out")
-    return _read_output(method, path, rate_hz, name=file)
 
 
 def _read_output(method: Method, path: Path, rate_hz: float, *, name: str) -> Samples:

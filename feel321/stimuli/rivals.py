@@ -55,7 +55,7 @@ References
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -482,11 +482,3 @@ _ALL = (
 
 RIVALS: Registry[Rival] = Registry("rival metric", {one.measure.__name__: one for one in _ALL})
 """Name -> rival metric, the baseline first."""
-
-
-def measure_batch(
-    acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float
-) -> Mapping[str, Samples]:
-    """Measure every rival of recordings, (..., 3, n), and as many reduced signals, (..., n): by name, (...)."""
-    pair = make_pairs(acceleration, reduced, rate_hz)
-    return {name: rival.measure(pair) for name, rival in RIVALS.items()}

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
-from pydantic import BaseModel, PydanticUserError, TypeAdapter, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
+from feel321.records import to_json_value
 from feel321.study.actuator.rig import Rig
-from feel321.study.settings.fields import MOST, list_tables
+from feel321.study.settings.fields import MOST, list_fields, list_tables
 from feel321.study.settings.schema import Settings
 
 FILES: dict[str, type[BaseModel]] = {"study.toml": Settings, "rig.toml": Rig}
@@ -28,6 +29,7 @@ KINDS = {
 LIMITS = {
     "minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below",
 }  # fmt: skip
+FORMS: dict[Any, str] = {tuple: "list", dict: "named"}  # of tables
 
 
 class Setting(NamedTuple):
@@ -52,11 +54,11 @@ def list_settings(file: str) -> list[Setting]:
     """List every key of `study.toml` or `rig.toml` once, table by table."""
     meanings = read_meanings(file)
     found: dict[str, Setting] = {}
-    for table, key, field in _walk(FILES[file], "", ""):
+    for table, key, field in _walk(FILES[file], "", "table"):
         place = ".".join(filter(None, (table.strip("[]"), key)))
         unit = next((unit for end, unit in UNITS.items() if key.endswith(f"_{end}")), "")
-        default = field.get_default(call_default_factory=True)
-        shown = "" if default in (None, "", {}) else json.dumps(default, default=str)
+        default = to_json_value(field.get_default(call_default_factory=True))
+        shown = "" if default in (None, "", {}) else json.dumps(default)
         shown = "required" if field.is_required() else shown
         one = Setting(table, key, _describe(field), shown, unit, meanings.get(place, ""))
         found.setdefault(place, one)
@@ -77,22 +79,19 @@ def write_list(file: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _walk(model: type[BaseModel], where: str, form: str) -> Iterator[tuple[str, str, FieldInfo]]:
-    """Give table, key and field of every key, tables within tables included; form: "table", "list" or "named"."""
-    for key, field in model.model_fields.items():
-        if field.exclude:  # no key of the file
-            continue
-        if not (inner := list_tables(field.annotation)):
-            place = f"[[{where}]]" if form == "list" else f"[{where}]"
-            yield place if form else where, key, field
-        forms = {"tuple": "list", "dict": "named"}
-        outer: Any = field.annotation
-        while (
-            outer is not None and (name := getattr(get_origin(outer), "__name__", "")) not in forms
-        ):
-            outer = next(iter(get_args(outer)), None)
-        inner_form = forms[name] if outer is not None else "table"
-        below = ".".join(filter(None, (where, key, "NAME" if inner_form == "named" else "")))
+def _walk(model: type, where: str, form: str) -> Iterator[tuple[str, str, FieldInfo]]:
+    """Give table, key and field of every key, tables within tables included; form: table, list or named."""
+    place = f"[[{where}]]" if form == "list" else f"[{where}]" * bool(where)
+    for key, field in list_fields(model).items():
+        kind: Any = field.annotation
+        while kind is not None and get_origin(kind) not in FORMS:
+            kind = next(iter(get_args(kind)), None)
+        inner_form, inner = FORMS.get(get_origin(kind), "table"), list_tables(field.annotation)
+        if not inner and (where or inner_form != "named"):
+            yield place, key, field
+        elif not inner:  # a table whose keys are the lab's own
+            yield f"[{key}]", "NAME", FieldInfo.from_annotated_attribute(get_args(kind)[1], None)
+        below = ".".join(filter(None, (where, key, "NAME" * (inner_form == "named"))))
         for each in inner:
             yield from _walk(each, below, inner_form)
 
@@ -111,16 +110,15 @@ def _describe(field: FieldInfo) -> str:
                 return several + names[1].partition(" [")[0]
         except (TypeError, ValueError, AttributeError):
             continue
-    try:
-        return _name_kind(adapter.json_schema())
-    except PydanticUserError:  # what no schema can say
-        return "value"
+    return _name_kind(adapter.json_schema())
 
 
 def _name_kind(schema: dict[str, Any]) -> str:
     if "anyOf" in schema:
         kinds = [_name_kind(each) for each in schema["anyOf"] if each.get("type") != "null"]
         return " or ".join(dict.fromkeys(filter(None, kinds)))
+    if "enum" in schema:
+        return ", ".join(schema["enum"])
     limits = [
         f"{words} {schema[key]:.12g}"
         for key, words in LIMITS.items()

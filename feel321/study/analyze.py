@@ -2,13 +2,11 @@
 
 import os
 import warnings
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import fields, replace
 from itertools import chain, count
-from math import nan
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
@@ -20,14 +18,13 @@ from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
-from feel321.analysis.table.metrics import ROTATIONS, list_rivals, make_info
+from feel321.analysis.table.metrics import ROTATIONS, make_info
 from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
 from feel321.files import write_text
 from feel321.names import MATCHES
 from feel321.stimuli.condition import condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.rivals import RIVALS, measure_batch
 from feel321.stimuli.rotation import match_rotations, random_rotations
 from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimuli
 from feel321.stimuli.sets.recipe import Recipe, Unread, find_conditioning, read_given
@@ -64,7 +61,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     manifest: Path | None = None,
     metrics: Sequence[str] | None = None,
     draws: int | None = None,
-    rivals: bool = False,
     out: Path | None = None,
     progress: Progress | None = None,
     finish: Callable[[Path], None] | None = None,
@@ -91,8 +87,6 @@ def analyze_study(  # noqa: PLR0913 - one per choice
         protocols = tuple(settings.session.protocols)
         about = About(settings.study.name, day, protocols, standing=standing)
     listed, folder = manifest or study.manifest, out or study.report
-    if rivals:
-        further = add_rivals(study, None if manifest else settings, listed, further=further)
     declared = declaring(study, "analyze") if out is None else nullcontext()
     with closing_results(study, folder), declared:
         results = write_report(
@@ -176,74 +170,20 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Pa
     """Make the paper that the report answers; mountings: metrics over orientations of the sensor."""
     if (paper := settings.paper) is None:
         return None
-    from feel321.analysis.replication import Paper, PaperClaim
+    from feel321.analysis.replication import Paper
 
-    claims = []
-    for table in paper.claims:
-        own = table.model_dump(exclude={"paper", "options"})
-        ends = (table.paper.value, table.paper.low, table.paper.high) if table.paper else ()
-        value, low, high = (nan if one is None else one for one in ends or (None,) * 3)
-        options = table.options.model_dump(exclude_none=True)
-        claims.append(PaperClaim(paper=(value, low, high), options=options, **own))
     published = [
         {**one.model_dump(exclude={"numbers"}), "reducer": reducer, "paper": value}
         for one in paper.published
         for reducer, value in one.numbers.items()
     ]
     frame = pd.DataFrame(published) if published else None
-    return Paper(paper.citation, paper.doi, paper.seen, tuple(claims), frame, mountings)
+    return Paper(paper.citation, paper.doi, paper.seen, paper.claims, frame, mountings)
 
 
-# Metrics of a study's stimuli that its manifest lacks: rivals, and over orientations of the sensor.
+# Metrics of a study's stimuli that its manifest lacks: those over orientations of the sensor.
 
 Given = Sequence[Recording | Unread]
-
-
-def measure_rivals(recordings: Given, stimuli: StimulusSet, recipe: Recipe) -> pd.DataFrame:
-    """Measure every rival metric that the manifest lacks, for every test stimulus; index stimulus_id.
-
-    Like the manifest's match metrics they are those of the reduction: of the recording conditioned by the recipe, at
-    its own rate, before level, resampling and fades. NaN where there is nothing to compare.
-    """
-    tests = [stimulus for stimulus in stimuli if stimulus.role == "test"]
-    made: dict[str, set[str]] = defaultdict(set)
-    for one in tests:
-        made[one.recording].add(one.reducer)
-
-    def measure(given: Recording | Unread) -> dict[tuple[str, str], dict[str, float]]:
-        ready = condition(read_given(given), find_conditioning(recipe, given.name))
-        signal, rate_hz = ready.acceleration, ready.rate_hz
-        found = {}
-        for name in made[ready.name]:
-            reduced = np.asarray(find_reducer(recipe, name, ready.name)(signal, rate_hz))
-            values = measure_batch(signal, reduced, rate_hz)
-            found[ready.name, name] = {metric: float(one) for metric, one in values.items()}
-        return found
-
-    # Threads: nearly all of the work is done by libraries that release the interpreter.
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        found = {key: row for one in pool.map(measure, recordings) for key, row in one.items()}
-    rows = {one.stimulus_id: found[one.recording, one.reducer] for one in tests}
-    lacking = [name for name in RIVALS if name not in stimuli.to_frame().columns]
-    return pd.DataFrame.from_dict(rows, orient="index")[lacking].rename_axis("stimulus_id")
-
-
-def add_rivals(
-    study: StudyFolder, settings: Settings | None, manifest: Path, *, further: Further
-) -> Further:
-    """Let all metrics of a manifest be compared, and in a study those too that the manifest lacks."""
-    names, measured, reason = list_rivals(manifest), pd.DataFrame(), ""
-    if settings:
-        recordings, recipe, reason = _read_unchanged(study, settings)
-        try:
-            if not reason:
-                measured = measure_rivals(recordings, read_stimuli(study.stimuli), recipe)
-        except ValueError as error:
-            reason = str(error)
-    note = (f"Metrics that the manifest lacks are not compared: {reason}.",) if reason else ()
-    rivals = tuple(dict.fromkeys([*names, *map(str, measured)]))
-    metrics = further.metrics.join(measured, how="outer") if len(measured) else further.metrics
-    return replace(further, metrics=metrics, notes=(*further.notes, *note), rivals=rivals)
 
 
 def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread], Recipe, str]:

@@ -105,7 +105,7 @@ def _collect_one(
 
 def _read_terms(study: StudyFolder) -> Mapping[str, Any]:
     settings = read_settings(study.settings)
-    return make_terms(make_design(settings, study.path), settings, study.path)
+    return make_terms(make_design(settings), settings, study.path)
 
 
 def _take_withdrawal(study: StudyFolder, there: Path, collected: Collected, *, now: Clock) -> bool:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 from feel321 import intake
 from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_versions
 from feel321.doors import name_of
+from feel321.records import to_json_value
 from feel321.study.numbers import read_holder
 from feel321.study.people import read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
@@ -74,13 +75,15 @@ def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, s
         with intake.open_text(study.ratings) as file:
             rows = csv.DictReader(file)
             begun += [row["participant"] for row in rows if row.get("simulated") == "false"]
+    place = quote(str(study.path))
     if begun:
         text = f"{begun[0]} has begun already, so it is too late to freeze; all results stay exploratory"
-        raise ValueError(f"{study.path}: {text}")
+        remedy = f"if that was a trial, withdraw first: feel321 withdraw {place} --participant {begun[0]}"
+        raise ValueError(f"{study.path}: {text}; {remedy}")
     if not study.manifest.is_file():
         raise FileNotFoundError(
             f"{study.manifest}: there is no stimulus set yet, which is part of what is frozen; build it first: "
-            f"feel321 build {quote(str(study.path))}"
+            f"feel321 build {place}"
         )
     require_current_set(study, settings)
     named = list_settings(study, settings)
@@ -110,7 +113,7 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     """List everything that counts by its dotted name, as JSON can hold it, in alphabetical order."""
     from feel321.protocols.tasks import digest_protocols
     from feel321.stimuli.sets.manifest import read_stimuli
-    from feel321.study.settings.read import CONSENT, find_metric, make_recipe, read_study_texts
+    from feel321.study.settings.read import CONSENT, list_methods, make_recipe, read_study_texts
 
     stimuli = read_stimuli(study.stimuli)
     found = dict(_flatten(settings.model_dump(mode="json", exclude=UNCOUNTED)))
@@ -123,17 +126,14 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     read = digest(json.dumps(texts, sort_keys=True))
     found |= {"stimuli.set": stimuli.sha256, "session.texts": read}
     found |= {f"recordings.{row.recording}": row.recording_sha256 for row in stimuli.stimuli}
-    # The lab's own code: reducers, metrics and protocols.
-    code = [name for name, table in settings.metrics.items() if table.use or table.command]
-    declared = [find_metric(settings, name, study.path) for name in code]
-    own = [one for one in declared if not isinstance(one, str)]
-    for method in (*make_recipe(settings, study.path).methods, *own):
-        found[f"code.{method.kind}.{method.name}"] = method.sha256
+    # The lab's own code: what stimuli are made with, all metrics, and protocols.
+    metrics = [one for one in list_methods(settings, study.path) if one.kind == "metric"]
+    methods = (*make_recipe(settings, study.path).methods, *metrics)
+    found |= {f"code.{one.kind}.{one.name}": one.sha256 for one in methods}
     protocols = digest_protocols(settings.session.protocols)
     found |= {f"code.{name}": sha256 for name, sha256 in protocols.items()}
-    if settings.paper:
-        claims = settings.paper.model_dump(mode="json")["claims"]
-        found |= {f"paper.claims.{one['name']}": one for one in claims}
+    for claim in settings.paper.claims if settings.paper else ():
+        found[f"paper.claims.{claim.name}"] = to_json_value(asdict(claim))
     found |= {f"analysis.{name}": said for name, said in MODEL.items()}
     found |= {f"software.{name}": number for name, number in list_versions().items()}
     return dict(sorted(found.items()))
@@ -152,9 +152,8 @@ def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
     from feel321.analysis.table.metrics import make_info
     from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
     from feel321.names import METRIC_INFO
-    from feel321.study.settings.read import make_design
 
-    tasks = make_design(settings).tasks
+    tasks = settings.list_tasks()
     scales = dict.fromkeys(name for task in tasks for name in (task.scales or (task.protocol,)))
     rated = [RECAST if name == PAIRED else name for name in scales]
     known = {name: make_info(name, table.to_facts()) for name, table in settings.metrics.items()}
@@ -180,7 +179,12 @@ def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str,
     }
 
 
-# The state in a line, and what is wrong with it.
+def list_changes(study: StudyFolder, settings: Settings, frozen: Frozen) -> dict[str, str]:
+    """Name what differs from what was frozen."""
+    return find_changes(frozen.settings, list_settings(study, settings))
+
+
+# The state in a line, what is wrong with it, and what it makes of an analysis.
 
 
 def describe_frozen(study: StudyFolder) -> str:
@@ -197,24 +201,20 @@ def find_faults(study: StudyFolder) -> list[str]:
     """Find reasons to distrust the frozen file: edits, and sessions whose headers name another one, or none."""
     if study.is_rehearsal:  # which may come before it
         return []
-    home = study.path / FROZEN_FILE
     try:
         frozen = read_frozen(study)
     except ValueError as error:
         return [str(error)]
-    faults = []
+    faults, sha256 = [], frozen.sha256 if frozen else ""
     for path, named in _list_sessions(study):
-        if frozen is None and named:
-            faults.append(
-                f"is not there, though {path} names it in its header; restore it from a copy"
-            )
-        elif frozen and not named:
-            faults.append(
-                f"is newer than the session of {path}, whose header knows of no frozen file"
-            )
-        elif frozen and named != frozen.sha256:
-            faults.append(f"is not the one that {path} names in its header; restore that one")
-    return [f"{home}: {one}" for one in faults]
+        fault = f"is not the one that {path} names in its header; restore that one"
+        if not sha256:
+            fault = f"is not there, though {path} names it in its header; restore it from a copy"
+        elif not named:
+            fault = f"is newer than the session of {path}, whose header knows of no frozen file"
+        if named != sha256:
+            faults.append(f"{study.path / FROZEN_FILE}: {fault}")
+    return faults
 
 
 def _list_sessions(study: StudyFolder) -> Iterator[tuple[str, str]]:
@@ -233,14 +233,6 @@ def _list_sessions(study: StudyFolder) -> Iterator[tuple[str, str]]:
                 named = str(json.loads(line)["data"].get("frozen", ""))
             if any(mark in content for mark in _MARKS):
                 yield path.relative_to(study.path).as_posix(), named
-
-
-# What it makes of an analysis.
-
-
-def list_changes(study: StudyFolder, settings: Settings, frozen: Frozen) -> dict[str, str]:
-    """Name what differs from what was frozen."""
-    return find_changes(frozen.settings, list_settings(study, settings))
 
 
 def make_standing(
@@ -274,22 +266,16 @@ def make_standing(
     changes = list_changes(study, asked, frozen)
     aside = [text for name, text in changes.items() if name.startswith(ASIDE)]
     weighty = [text for name, text in changes.items() if not name.startswith(ASIDE)]
-    when = f"on {frozen.utc[:10]}"
-    count = len(frozen.hypotheses)
+    when, count, reason = frozen.utc[:10], len(frozen.hypotheses), ""
     slopes = "the declared slope is" if count == 1 else f"the {count} declared slopes are"
-    reason, first = (
-        "",
-        (
-            f"Hypotheses and analysis were frozen {when}, before anybody came: {slopes} confirmatory, all else is "
-            "exploratory."
-        ),
+    first = (
+        f"Hypotheses and analysis were frozen on {when}, before anybody came: {slopes} confirmatory, all else is "
+        "exploratory."
     )
     if weighty:
         reason = "settings were changed after they were frozen"
-        first = (
-            f"All results are exploratory, because settings that were frozen {when} have changed: "
-            f"{_shorten(weighty)}."
-        )
+        what = f"settings that were frozen on {when} have changed: {_shorten(weighty)}"
+        first = f"All results are exploratory, because {what}."
     if aside:
         first += f" The declared tests do not depend on what else has changed: {_shorten(aside)}."
     changed = (*weighty, *aside)

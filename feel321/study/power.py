@@ -14,20 +14,28 @@ from pandas import DataFrame, concat
 
 from feel321 import __version__
 from feel321.analysis.figures import style
+from feel321.analysis.page import render_words
 from feel321.analysis.power import plan as planning
-from feel321.analysis.power import truth as planted
-from feel321.analysis.power.plan import PowerPlan
-from feel321.analysis.power.truth import PowerDesign, Truth
+from feel321.analysis.power.design import ENOUGH, GROUPS, SPREADS, PowerDesign, Truth
+from feel321.analysis.power.simulate import simulate_studies
 from feel321.analysis.primary.model import fit_primary
+from feel321.analysis.primary.plan import (
+    ITEM,
+    RATING,
+    REDUCER,
+    SCENE,
+    SOURCE,
+    WHO,
+    find_recording_slope,
+)
 from feel321.analysis.report import folder as results
 from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table import reading
 from feel321.analysis.table.items import Part, Table, split_tests
 from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Further
-from feel321.analysis.words import ABSENT, format_count, format_name
+from feel321.analysis.words import ABSENT, format_name
 from feel321.doors import check_name
-from feel321.files import make_folder
 from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
@@ -41,19 +49,15 @@ from feel321.study.settings import read, schema
 from feel321.study.settings.schema import Settings
 
 Numbers = int | Sequence[int]
+Row = dict[str, Any]
 
 OWN = "study"  # A pilot that is no file: the study's own ratings
-SIZES = planted.SIZES
-
-KEPT = ".studies"
-"""Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
 
 PEOPLE, FEWEST = 16, 3
 """Raters of each attribute in the design around which others are compared; without so many there is no model."""
 
 MOST_POINTS = 100  # more than the whole scale per step of a metric is a slip
 GIVEN, OBSERVED = "given", "simulated observers"  # where a slope comes from
-WHO, SCENE, REDUCER, ITEM, RATING = "participant", "recording", "reducer", "item", "rating"
 
 HEIGHT_CM = 7.5
 WALKS = ((0, (5, 1.2)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (1, 1)), (0, (8, 1.5)))
@@ -69,7 +73,6 @@ class PowerTask:
     """
 
     design: PowerDesign
-    truth: Truth
     effects: DataFrame
     name: str
     share: int = 1
@@ -81,14 +84,14 @@ def set_up(
     *,
     effects: Mapping[str, float] | Sequence[str] = (),
     pilot: str | Path | None = None,
-    wanted: float = planted.ENOUGH,
+    wanted: float = ENOUGH,
     further: Further | None = None,
 ) -> PowerTask:
     """Set up the power analysis of a study; other slopes than those of `effects` are the simulated observers'.
 
     further: the metrics that the analysis declares and the manifest lacks.
     """
-    wanted_effects = effects if isinstance(effects, Mapping) else _read_effects(effects)
+    asked = effects if isinstance(effects, Mapping) else _read_effects(effects)
     settings = read.read_settings(study.settings)
     if settings.session.recordings_per_participant:
         raise ValueError(
@@ -99,33 +102,39 @@ def set_up(
     sessions.require_current_set(study, settings)
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
-    table = _tabulate_plan(study, settings, stimuli, groups=share, further=further)
+    table = _tabulate_plan(settings, stimuli, groups=share, further=further)
     if not (rated := list(split_tests(table))):
         raise ValueError(
             "session.protocols ask for no rating of a single stimulus, so there is no slope to plan for; add realism "
             "or similarity"
         )
-    slopes = _plant(settings, rated, steps=find_table_steps(table), effects=wanted_effects)
+    slopes = _plant(settings, rated, steps=find_table_steps(table), effects=asked)
     metrics, attributes = (tuple(slopes[name].unique()) for name in ("metric", "attribute"))
-    items = rated[0].rows[[SCENE, REDUCER, ITEM, *metrics]].drop_duplicates(ITEM)
-    origin = rated[0].rows.drop_duplicates(SCENE).set_index(SCENE)["source"]
-    if not origin.is_unique:
-        items = items.assign(source=items[SCENE].map(origin))
-    repeats = settings.session.repeats
-    design = planted.PowerDesign(
-        items, metrics, attributes, participants=PEOPLE, repeats=repeats, wanted=wanted
-    )
+    rows = rated[0].rows
+    shared = [] if rows.drop_duplicates(SCENE)[SOURCE].is_unique else [SOURCE]
+    items = rows.drop_duplicates(ITEM)[[SCENE, REDUCER, ITEM, *shared, *metrics]]
     named = slopes["attribute"] + "/" + slopes["metric"]
-    known = dict(zip(named, slopes["points"] / slopes["size"], strict=True))
-    usual = {"slopes": known, **{name: getattr(settings.observer, name) for name in planted.SHARES}}
-    truth, notes = planted.Truth(**usual), _list_notes(rated, slopes, share)
+    truth = Truth(dict(zip(named, slopes["points"] / slopes["size"], strict=True)))
+    first, *others = dict.fromkeys(part.level for part in rated)
+    said = {
+        f"Metrics are those at level {first}; at {', '.join(others)} they are alike.": others,
+        f"Each attribute is rated by one in {share} participants, as [between] says.": share > 1,
+        "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
+        "slope that would matter to you.": (slopes["source"] != GIVEN).any(),
+        "Before the first session, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
+        "told apart into confirmatory and exploratory ones.": True,
+    }
+    notes = [note for note, holds in said.items() if holds]
     if pilot is not None:
         given = _read_pilot(study, stimuli, pilot, further=further)
         name = "this study" if str(pilot) == OWN else Path(pilot).name
-        truth = _fit_pilot(given, usual, name)
+        truth = _fit_pilot(given, metrics, name=name, known=truth)
         if given.rows["simulated"].any():
             notes.append(f"{name}: ratings come from simulated participants, not from people.")
-    return PowerTask(design, truth, slopes, settings.study.name, share, tuple(notes))
+    design = PowerDesign(
+        items.reset_index(drop=True), metrics, truth, attributes, PEOPLE, settings.session.repeats, wanted=wanted
+    )  # fmt: skip
+    return PowerTask(design, slopes, settings.study.name, share, tuple(notes))
 
 
 def _read_effects(texts: Sequence[str]) -> dict[str, float]:
@@ -146,54 +155,33 @@ def _read_effects(texts: Sequence[str]) -> dict[str, float]:
 
 
 def _tabulate_plan(
-    study: StudyFolder,
-    settings: Settings,
-    stimuli: StimulusSet,
-    *,
-    groups: int,
-    further: Further | None = None,
+    settings: Settings, stimuli: StimulusSet, *, groups: int, further: Further | None = None
 ) -> Table:
     """Tabulate what participants are asked to judge, one of each group; all ratings are 0."""
-    design = read.make_design(settings, study.path)
+    design = read.make_design(settings)
     rows = []
     for number in range(1, groups + 1):
         who = f"sim{number:03d}"
         plan = plans.make_plan(design, stimuli, who, number=number, simulated=True)
         by_code = list_by_code(stimuli, seed=plan.seed)
-        judged = [
-            (one, two) for one in plan.trials if one.phase == "main" for two in one.judgements
-        ]
-        for one, judgement in judged:
+        main = (trial for trial in plan.trials if trial.phase == "main")
+        for trial, judgement in ((one, judged) for one in main for judged in one.judgements):
             if (stimulus := by_code.get(judgement.stimulus_id)) is None:
                 continue
             others = {
-                "reference_id": judgement.reference_id,
-                "other_id": find_other(one, judgement),
-            }
+                "reference_id": judgement.reference_id, "other_id": find_other(trial, judgement),
+            }  # fmt: skip
             rows.append({
-                WHO: who, "session": 1, "protocol": one.protocol, "block": one.block, "trial": one.number,
-                "repeat": one.repeat, "stimulus_id": stimulus.stimulus_id, "recording": stimulus.recording,
-                "reducer": stimulus.reducer, "level": stimulus.level, "scale": judgement.scale or one.scale,
-                "rating": 0.0, "rejected": "false", "simulated": "true",
+                WHO: who, "session": 1, "protocol": trial.protocol, "block": trial.block, "trial": trial.number,
+                "repeat": trial.repeat, "stimulus_id": stimulus.stimulus_id, SCENE: stimulus.recording,
+                REDUCER: stimulus.reducer, "level": stimulus.level, "scale": judgement.scale or trial.scale,
+                RATING: 0.0, "rejected": "false", "simulated": "true",
                 **{k: by_code[v].stimulus_id if v in by_code else v or "" for k, v in others.items()},
             })  # fmt: skip
     return reading.read_table(
         DataFrame(rows), stimuli.to_frame(), metrics=settings.analysis.metrics,
         sources=read.list_origins(settings), further=further,
     )  # fmt: skip
-
-
-def _list_notes(rated: Sequence[Part], slopes: DataFrame, share: int) -> list[str]:
-    first, *others = dict.fromkeys(part.level for part in rated)
-    said = {
-        f"Metrics are those at level {first}; at {', '.join(others)} they are alike.": others,
-        f"Each attribute is rated by one in {share} participants, as [between] says.": share > 1,
-        "Slopes without --effect are those of the simulated observers in study.toml: better give the smallest "
-        "slope that would matter to you.": (slopes["source"] != GIVEN).any(),
-        "Before the first session, feel321 freeze writes down the hypotheses and the analysis, so that results can be "
-        "told apart into confirmatory and exploratory ones.": True,
-    }
-    return [note for note, holds in said.items() if holds]
 
 
 def _plant(
@@ -218,7 +206,7 @@ def _plant(
                 f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value!r}"
             )
         chosen |= {(one, metric): float(value) for one in ([attribute] if one_only else attributes)}
-    asked, model = list(product(attributes, steps)), make_model(settings)
+    model = make_model(settings)
     felt = {model.spectral_metric: model.spectral, "temporal_match": model.temporal}
     return DataFrame([
         {
@@ -227,7 +215,7 @@ def _plant(
             "per": steps[metric].per, "size": steps[metric].size,
             "source": GIVEN if (attribute, metric) in chosen else OBSERVED,
         }
-        for attribute, metric in asked
+        for attribute, metric in product(attributes, steps)
     ])  # fmt: skip
 
 
@@ -246,49 +234,59 @@ def _read_pilot(
     return reading.read_table(path, stimuli.to_frame(), metrics=metrics, further=further)
 
 
-def _fit_pilot(table: Table, known: Mapping[str, Any], name: str) -> Truth:
-    """Take the standard deviations of a pilot: the root mean square of those of all attributes."""
-    rated = list(split_tests(table))
-    if not rated:
+def _fit_pilot(table: Table, metrics: Sequence[str], *, name: str, known: Truth) -> Truth:
+    """Take the mean and standard deviations of a pilot: the root mean square of those of all attributes.
+
+    The residual of a model of means holds what a person thinks of a stimulus, and what averaging leaves of repeats;
+    where nothing was rated twice, all of it is taken for the first.
+    """
+    if not (rated := list(split_tests(table))):
         raise ValueError(f"{name}: holds no rating of a single test stimulus; give other ratings")
-    metrics = list(dict.fromkeys(slope.split("/")[-1] for slope in known["slopes"]))
-    found = []
-    for part in rated:
-        rows, changes = part.rows, dict(known)
+    means, found = [], []
+    for rows in (part.rows for part in rated):
         cells = rows.groupby([WHO, ITEM], observed=True)[RATING]
-        if spare := len(rows) - cells.ngroups:
-            squares = ((rows[RATING] - cells.transform("mean")) ** 2).sum()
-            changes["rating_sd"] = float(np.sqrt(squares / spare))
-        fit = fit_primary(rows, metrics, explain=False)
-        repeats = round(len(rows) / cells.ngroups)
-        found.append(planted.Truth.from_fit(fit, repeats=repeats, **changes))
-
-    def pool(sds: Iterable[float]) -> float:
-        return float(np.sqrt(np.mean(np.square(list(sds)))))
-
-    pooled: dict[str, Any] = {
-        field: pool(getattr(one, field) for one in found) for field in planted.SPREADS
-    }
-    for kind in ("slope_sds", "recording_slope_sds"):
-        sds = [getattr(one, kind) for one in found]
-        shared = sorted(set.intersection(*(set(one) for one in sds)))
-        pooled[kind] = {metric: pool(one[metric] for one in sds) for metric in shared}
+        spare, repeats = len(rows) - cells.ngroups, round(len(rows) / cells.ngroups)
+        squares = float(((rows[RATING] - cells.transform("mean")) ** 2).sum())
+        rating_sd = np.sqrt(squares / spare) if spare else 0.0
+        model = fit_primary(rows, metrics, explain=False)
+        spreads = {
+            (one["group"], one["term"]): one["sd"] for one in model.fit.variances.to_dict("records")
+        }
+        own, residual = spreads.get((f"{WHO}:{ITEM}", "(Intercept)")), model.fit.residual_sd
+        if own is None:
+            own = np.sqrt(max(residual**2 - rating_sd**2 / repeats, 0.0))
+        elif not spare:
+            rating_sd = residual
+        means.append(model.model_frame[RATING].mean())
+        found.append({
+            **{field: spreads.get((group, "(Intercept)"), 0.0) for field, group in GROUPS.items()},
+            "person_item_sd": own, "rating_sd": rating_sd,
+            **{f"people/{one}": spreads.get((WHO, f"{one}_w"), 0.0) for one in model.slopes.index},
+            **{f"scenes/{one}": find_recording_slope(spreads, one) for one in model.slopes.index},
+        })  # fmt: skip
+    pooled = np.sqrt((DataFrame(found).dropna(axis=1) ** 2).mean()).to_dict()
+    shared = [one for one in metrics if f"people/{one}" in pooled]
     people = len({who for part in rated for who in part.rows[WHO]})
-    pooled["source"] = f"the primary model of {people} people's ratings in {name}"
-    return replace(found[0], mean=float(np.mean([one.mean for one in found])), **pooled)
+    spreads_of_truth: Row = {field: pooled[field] for field in SPREADS}
+    return replace(
+        known, mean=float(np.mean(means)), source=f"the primary model of {people} people's ratings in {name}",
+        slope_sds={one: pooled[f"people/{one}"] for one in shared},
+        recording_slope_sds={one: pooled[f"scenes/{one}"] for one in shared}, **spreads_of_truth,
+    )  # fmt: skip
 
 
-def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studies, who does them, who watches
+def plan_study(
     task: PowerTask,
     sizes: Mapping[str, Numbers],
     *,
     studies: int = 1000,
     seed: int = 0,
-    keep: Path,
     workers: Workers,
     progress: Callable[[int, int], None],
 ) -> "StudyPower":
     """Compute the power of all designs, for the slope with the least power; sizes: by the names of `SIZES`."""
+    if studies < 0:
+        raise ValueError(f"studies must be 0 or more, got {studies}; give 1000")
     factors = {name: _list_numbers(numbers, name) for name, numbers in sizes.items()}
     people, share = factors.get("participants", ()), task.share
     if odd := [one for one in people if one % share or one < FEWEST * share]:
@@ -298,18 +296,23 @@ def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studi
         )
     factors["participants"] = tuple(one // share for one in people)
     near = min(factors["participants"] or (PEOPLE,), key=lambda number: abs(number - PEOPLE))
-    design = replace(task.design, participants=near)
-    aim = design.hypotheses[0] if not any(task.truth.slopes.values()) else None
-    asked = task.effects[(task.effects["source"] == GIVEN) & (task.effects["points"] != 0)]
-    if aim is None and not asked.empty:
-        power = planning.find_power(design, task.truth, studies=0).table["power"]
-        aim = design.hypotheses[power.loc[asked.index].sort_values(kind="stable").index[0]]
-    make_folder(keep)
+    planted = task.effects.index[task.effects["points"] != 0]
+    asked = [place for place in planted if task.effects.loc[place, "source"] == GIVEN]
+    run, whole = 0, planning.TRIED + 1
+
+    def simulate(design: PowerDesign) -> np.ndarray:
+        nonlocal run
+        done, run = min(run, planning.TRIED), run + 1
+        return simulate_studies(
+            design, studies=studies, seed=seed, workers=workers,
+            progress=lambda part, parts: progress(done * parts + part, whole * parts),
+        )  # fmt: skip
+
     plan = planning.plan_power(
-        design, task.truth, **factors, hypothesis=aim, studies=studies, seed=seed, workers=workers, keep=keep,
-        progress=progress,
+        replace(task.design, participants=near), factors, aims=asked or list(planted) or [0],
+        simulate=simulate if studies else None,
     )  # fmt: skip
-    return StudyPower(plan, task)
+    return StudyPower(plan, task, seed)
 
 
 def _list_numbers(numbers: Numbers, what: str) -> tuple[int, ...]:
@@ -324,16 +327,40 @@ def _list_numbers(numbers: Numbers, what: str) -> tuple[int, ...]:
 class StudyPower(results.PageResult):
     """The power of a study, planned from its own settings and stimuli; its answer, tables and page."""
 
-    plan: PowerPlan
+    plan: planning.PowerPlan
     task: PowerTask
+    seed: int = 0
     path: Path = Path()
 
     @property
     def answer(self) -> str:
         """Which design is enough, its power and interval, in one sentence; or why none is."""
-        row = self._find_row(self.plan.hypothesis)
-        share = self.task.share
-        return planning.describe_plan(self.plan, share=share, size=row["size"], per=row["per"])
+        plan, design, table, share = (
+            self.plan,
+            self.plan.shown.design,
+            self.plan.table,
+            self.task.share,
+        )
+        row = self._find_row(plan.hypothesis)
+        best = table.sort_values("ceiling", na_position="first").iloc[-1]
+        tried, refuted = (
+            table[table["kind"] != "smallest"],
+            table[table["enough"] & table["refuted"]],
+        )
+        most = {planning.CEILING: best["ceiling"], planning.REFUTED: refuted["simulated"].max()}
+        detectable = row["detectable"] * row["size"]
+        return " ".join(render_words(
+            "power", verdict=plan.verdict, lack=plan.lack,
+            what=f"{format_name(row['metric'])} on {format_name(row['attribute'])}",
+            slope=f"{row['slope'] * row['size']:.2g}", per=row["per"],
+            power=planning.format_simulated(row, planning.format_power(row["power"])),
+            most=planning.format_power(float(most.get(plan.verdict, tried["power"].max()))),
+            people=design.participants * share, units=planning.describe_units(design.recordings, design.reducers),
+            repeats=design.repeats, tried=len(refuted), largest=int(tried["participants"].max()) * share,
+            needed=row["recordings_needed"] if isfinite(row["recordings_needed"]) else 0,
+            detectable=f"{detectable:.2g}" if isfinite(detectable) else "",
+            best_units=planning.describe_units(int(best["recordings"]), int(best["reducers"])),
+        ))  # fmt: skip
 
     def to_frame(self) -> DataFrame:
         """Return the power of all designs: `PowerPlan.table`, and people: all who take part."""
@@ -351,86 +378,57 @@ class StudyPower(results.PageResult):
         lines = ["; ".join(f"{name}: {value}" for name, value in row.items()) for row in rows]
         return "\n".join([self.answer, *lines, *self.task.notes])
 
-    def _find_row(self, hypothesis: tuple[str, str]) -> dict[str, Any]:
+    def _find_row(self, hypothesis: tuple[str, str]) -> Row:
         """Find what is known of a hypothesis in the design that is shown, and what was planted."""
-        place = self.plan.shown.design.hypotheses.index(hypothesis)
-        effect = self.task.effects.iloc[place].to_dict().items()
-        return planning.find_row(self.plan, hypothesis) | {str(name): one for name, one in effect}
+        power = self.plan.shown
+        place = power.design.hypotheses.index(hypothesis)
+        found = {**power.table.iloc[place].to_dict(), **self.task.effects.iloc[place].to_dict()}
+        return {str(name): value for name, value in found.items()}
 
     def _list_hypotheses(self) -> list[dict[str, str]]:
         """List what is said of each hypothesis in the design that is shown."""
+
+        def write(value: float) -> str:
+            return f"{value:.2g}{unit}" if isfinite(value) else ABSENT
+
         rows = []
         for row in map(self._find_row, self.plan.shown.design.hypotheses):
             size, unit = row["size"], f" points per {row['per']}"
             rows.append({
                 "Hypothesis": f"{format_name(row['metric'])} on {format_name(row['attribute'])}",
                 "Planted": f"{row['points']:.2g}{unit} ({row['source']})",
-                "Power": planning.format_power(row["power"]), "Simulated": _format_simulated(row),
-                "Detectable": _format(row["detectable"] * size, unit),
-                "Interval": "± " + _format(row["width"] * size / 2, unit),
+                "Power": planning.format_power(row["power"]), "Simulated": planning.format_simulated(row),
+                "Detectable": write(row["detectable"] * size),
+                "Interval": "± " + write(row["width"] * size / 2),
             })  # fmt: skip
         return rows
 
-    def _list_designs(self) -> list[dict[str, str]]:
-        step = self._find_row(self.plan.hypothesis)
-        return [
-            {
-                **{name.capitalize(): str(row[name]) for name in ("people", *SIZES[1:], "trials")},
-                "Power": planning.format_power(row["power"]), "Simulated": _format_simulated(row),
-                "At most": planning.format_power(row["ceiling"]),
-                f"Detectable, points per {step['per']}": _format(step["size"] * row["detectable"]),
-                "Enough": "recommended" if row["recommended"] else "yes" if row["enough"] else "no",
-            }
-            for row in self.to_frame().to_dict("records")
-        ]  # fmt: skip
-
     def _make_page(self, tables: Mapping[str, DataFrame]) -> results.PageParts:
-        plan, shown, own = self.plan, self.plan.shown, self.plan.powers[0].design
-        powers = [
-            one.design.sizes | {"studies": one.studies, "hypotheses": one.table.to_dict("records")}
-            for one in plan.powers
-        ]
+        plan, task, own = self.plan, self.task, self.plan.powers[0].design
         content = {
-            "version": __version__, "study": self.task.name, "answer": self.answer, "verdict": plan.verdict,
-            "wanted": plan.wanted, "hypothesis": list(plan.hypothesis), "share": self.task.share,
+            "version": __version__, "study": task.name, "answer": self.answer, "verdict": plan.verdict,
+            "wanted": own.wanted, "hypothesis": list(plan.hypothesis), "share": task.share,
             "recommended": plan.recommended and plan.recommended.sizes,
-            "designs": tables["designs"].to_dict("records"), "powers": powers,
-            "planted": self.task.effects.to_dict("records"), "truth": asdict(shown.truth), "seed": shown.seed,
-            "notes": list(dict.fromkeys([*self.task.notes, *plan.notes])),
+            "designs": tables["designs"].to_dict("records"), "powers": [
+                one.design.sizes | {"studies": one.studies, "hypotheses": one.table.to_dict("records")}
+                for one in plan.powers
+            ],
+            "planted": task.effects.to_dict("records"), "truth": asdict(own.truth), "seed": self.seed,
+            "notes": list(dict.fromkeys([*task.notes, *plan.notes])),
+        }  # fmt: skip
+        values = {
+            "content": content, "own": own.recordings, "shown": plan.shown.design,
+            "step": self._find_row(plan.hypothesis), "hypotheses": self._list_hypotheses(),
+            "power": planning.format_power, "simulated": planning.format_simulated, "units": planning.describe_units,
         }  # fmt: skip
         # Of the smallest designs that are enough, which may need hundreds of people, only the recommended one is drawn.
         grid = tables["designs"]
         grid = grid[(grid["kind"] != "smallest") | grid["recommended"].astype(bool)]
         grid = grid[(grid["reducers"] == own.reducers) & (grid["repeats"] == own.repeats)]
         grid = grid.drop_duplicates(["participants", "recordings"])
-        assumed = [
-            {"In the truth": format_name(name), "Points or share": f"{value:.3g}"}
-            for name, value in asdict(shown.truth).items()
-            if isinstance(value, int | float)
-        ]
-        grids = {
-            "hypotheses": self._list_hypotheses(), "designs": self._list_designs(), "assumed": assumed,
-        }  # fmt: skip
-        people = format_count(shown.design.participants * self.task.share, "participant")
-        units = planning.describe_units(shown.design.recordings, shown.design.reducers)
-        values = {
-            "result": self, "content": content, "own": own.recordings, "shown": f"{people}, {units}",
-            "grids": {
-                name: {"head": [*rows[0]], "rows": [[*row.values()] for row in rows]}
-                for name, rows in grids.items()
-            },
-        }  # fmt: skip
-        drawing = partial(draw_power, grid, own.recordings, wanted=plan.wanted)
+        drawing = partial(draw_power, grid, own.recordings, wanted=own.wanted)
         picture = Picture("power", "Power against participants", drawing)
         return results.PageParts("power.html", content, [picture], values)
-
-
-def _format_simulated(row: Mapping[Any, Any]) -> str:
-    return planning.format_simulated(row) if isfinite(row["simulated"]) else ABSENT
-
-
-def _format(value: float, unit: str = "") -> str:
-    return f"{value:.2g}{unit}" if isfinite(value) else ABSENT
 
 
 def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:

@@ -65,7 +65,7 @@ class Room:
 def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock) -> Room:
     """Open the shared surroundings of a study's sessions."""
     scales = make_scales(read_study_texts(settings, study.path))
-    stale = Stale(**settings.session.stale.model_dump())
+    stale = settings.session.stale
     return Room(study, settings, stimuli, scales, stale, now)
 
 
@@ -78,7 +78,7 @@ def plan_sessions(
     room: Room, settings: Settings, participants: Sequence[str], *, simulated: bool
 ) -> list[Plan]:
     """Give participants their numbers in the design, and plan their sessions."""
-    design = make_design(settings, room.study.path)
+    design = make_design(settings)
 
     def make(name: str, number: int) -> Plan:
         return make_plan(design, room.stimuli, name, number=number, simulated=simulated)

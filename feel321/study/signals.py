@@ -46,14 +46,12 @@ def new(
     *,
     study: options.Ready = None,
     methods: bool = False,
-    texts: str | None = None,
     all_settings: bool = False,
 ) -> None:
     """Begin a study: a commented study.toml, ready to use.
 
     Example: feel321 new my-study
              feel321 new my-study --study park2019
-             feel321 new my-study --texts de
              feel321 new --all-settings
 
     Parameters
@@ -64,8 +62,6 @@ def new(
         A ready study.
     methods : bool
         Also examples of your own methods, in methods/.
-    texts : str, optional
-        Only write the participants' texts: en or de.
     all_settings : bool
         Only print every setting.
     """
@@ -73,16 +69,6 @@ def new(
         from feel321.study.all_settings import FILES, write_list
 
         echo("\n".join(map(write_list, FILES)).rstrip("\n"))
-    elif texts is not None:
-        from feel321.doors import refuse_name
-        from feel321.files import create_text
-        from feel321.protocols.texts import COPY_FILE, list_languages, write_copy
-
-        if texts not in (languages := list_languages()):
-            raise UsageError(refuse_name(texts, languages, "--texts"))
-        path = require_study(as_path(folder or ".")).path / COPY_FILE
-        create_text(path, write_copy(texts))
-        echo(f'{path}: edit it, then in study.toml under [session]: language = "{COPY_FILE}"')
     elif folder is None:
         raise UsageError("name the folder of the new study")
     elif study and methods:

@@ -123,12 +123,8 @@ class Study(Laboratory):
         faults = find_faults(self.folder)
         return replace(found, warnings=(*found.warnings, *faults), notes=(*found.notes, *frozen))
 
-    def build(
-        self, workers: options.Crew = 1, *, scheduler: options.Scheduler = "", no_page: bool = False
-    ) -> StimulusSet:
+    def build(self, workers: options.Crew = 1, *, scheduler: options.Scheduler = "") -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
-
-        Open stimuli/index.html in a browser to see, measure and hear every stimulus.
 
         Example: feel321 build my-study --workers 2
 
@@ -138,15 +134,14 @@ class Study(Laboratory):
             Number of processes.
         scheduler : str
             A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
-        no_page : bool
-            No stimuli/index.html.
         """
         from feel321.stimuli.sets.build import find_copies
         from feel321.study.workflow import build_study
 
-        crew = hire(workers, scheduler)
         with follow(self.progress, "build") as step:
-            facts, stimuli = build_study(self.folder, workers=crew, page=not no_page, progress=step)
+            facts, stimuli = build_study(
+                self.folder, workers=hire(workers, scheduler), progress=step
+            )
         noticed = [f"{one.name}: {text}" for one in facts for text in one.warnings]
         for text in (*noticed, *find_copies(facts)):
             self.say(text)
@@ -171,7 +166,7 @@ class Study(Laboratory):
         """Find how many participants, recordings and reducers a study needs.
 
         Simulates this very study: its stimuli, protocols, primary model and Holm's method. Writes a page, tables
-        and JSON into STUDY/power. After Ctrl-C the same command continues.
+        and JSON into STUDY/power.
 
         Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
 
@@ -210,8 +205,12 @@ class Study(Laboratory):
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
-        sizes = [participants, recordings, reducers, repeats]
-        crew = hire(workers, scheduler)
+        sizes = {
+            "participants": participants,
+            "recordings": recordings,
+            "reducers": reducers,
+            "repeats": repeats,
+        }
         recording = recording_output(self.folder, "power", target, now=self.now)
         with recording, follow(self.progress, "power") as step:
             further = measure_declared(self.folder, self.settings)
@@ -220,11 +219,10 @@ class Study(Laboratory):
             )
             found = power.plan_study(
                 task,
-                dict(zip(power.SIZES, sizes, strict=True)),
+                sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                keep=target / power.KEPT,
-                workers=crew,
+                workers=hire(workers, scheduler),
                 progress=step,
             )
             return replace(found, path=found.write(target).parent)
@@ -275,7 +273,6 @@ class Study(Laboratory):
         manifest: options.File | None = None,
         out: options.Out = None,
         metrics: options.Metrics = (),
-        rivals: bool = False,
         draws: options.PythonOnly = None,
     ) -> Results:
         """Relate the ratings to the match metrics and write the report.
@@ -286,7 +283,6 @@ class Study(Laboratory):
         Example: feel321 analyze my-study
                  feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
                  feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match
-                 feel321 analyze my-study --rivals
 
         Parameters
         ----------
@@ -298,8 +294,6 @@ class Study(Laboratory):
             Where to, instead of report/.
         metrics : sequence of str
             A numeric manifest column to analyze; repeatable.  [default: as declared]
-        rivals : bool
-            Also rank all metrics, corrected for how many were tried.
         draws : int, optional
             Bootstrap draws per interval; as study.toml declares by default.
         """
@@ -322,7 +316,6 @@ class Study(Laboratory):
                 manifest=None if manifest is None else as_path(manifest),
                 metrics=metrics or None,
                 draws=draws,
-                rivals=rivals,
                 out=None if out is None else target,
                 progress=step,
                 finish=partial(write_methods, self.folder) if ratings is None else None,

@@ -13,7 +13,7 @@ from feel321 import intake
 from feel321.doors import follow
 from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
-from feel321.protocols.texts import list_borrowed, make_scales
+from feel321.protocols.texts import make_scales
 from feel321.protocols.trial import CHOOSING, Item
 from feel321.stimuli.condition import condition
 from feel321.stimuli.match import HIGHEST_HZ
@@ -38,28 +38,17 @@ Covariances = dict[str, NDArray[np.float64]]
 
 
 def build_study(
-    study: StudyFolder,
-    *,
-    workers: int | Workers = 1,
-    page: bool = True,
-    progress: Progress | None = None,
+    study: StudyFolder, *, workers: int | Workers = 1, progress: Progress | None = None
 ) -> tuple[list[sets.Facts], StimulusSet]:
-    """Build the stimulus set of a study, and its page; also gives what was found of its recordings."""
+    """Build the stimulus set of a study; also gives what was found of its recordings."""
     if as_workers(workers).scheduler:
         study = StudyFolder(study.path.absolute())  # as all machines see it
     settings = read.read_settings(study.settings)
     sources = read.list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
     _protect_used_set(study, settings, recipe)
-    with declaring(study, "build"):
-        with follow(progress or False, "build") as move:
-            facts, stimuli = sets.build_set(
-                sources, study.stimuli, recipe, workers=workers, move=move
-            )
-        if page or (study.stimuli / "index.html").exists():
-            from feel321.analysis.browser import remove_stimulus_page, write_stimulus_page
-
-            (write_stimulus_page if page else remove_stimulus_page)(study.stimuli)
+    with declaring(study, "build"), follow(progress or False, "build") as move:
+        facts, stimuli = sets.build_set(sources, study.stimuli, recipe, workers=workers, move=move)
     return facts, stimuli
 
 
@@ -249,7 +238,7 @@ def _check_set(
     yield from damage
     if not damage:
         # The tasks of every group must find the stimuli that they need.
-        design, groups = _keep_choosing(read.make_design(settings, study.path))
+        design, groups = _keep_choosing(read.make_design(settings))
         stimuli = read_stimuli(study.stimuli)
         problems: dict[str, None] = {}
         for number in range(1, groups + 1):
@@ -298,7 +287,7 @@ def _check_texts(study: StudyFolder, settings: Settings) -> Iterator[str]:
             yield f"recording {entry.title!r}: {place}: no such picture; put it there"
     try:
         texts = read.read_study_texts(settings, study.path)
-        questions = read.make_design(settings, study.path).questions
+        questions = read.make_design(settings).questions
     except OSError as error:
         remedy = "put your texts there, or name a language of the catalogue"
         yield f"{error.filename}: {error.strerror}; {remedy}"
@@ -363,10 +352,6 @@ def find_warnings(
         for one in recordings
         if one.rate_hz / 2 < HIGHEST_HZ
     ]
-    language = read.find_language(settings, study.path)
-    if isinstance(language, Path) and (borrowed := list_borrowed(language)):
-        lacking = f"has no {', '.join(borrowed)}; the catalogue's is shown there"
-        remarks.append(f"{settings.session.language}: {lacking}")
     if settings.session.order == "random" and study.stimuli.exists():
         design, stimuli = read.make_design(settings), read_stimuli(study.stimuli)
         plan = make_plan(design, stimuli, "check", number=1, simulated=False)

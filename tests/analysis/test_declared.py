@@ -13,7 +13,7 @@ from feel321.analysis.report import correlations, primary
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import find_steps, order_reducers
-from feel321.analysis.table.reading import Further, read_table
+from feel321.analysis.table.reading import read_table
 from feel321.analysis.words import declaring
 from feel321.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -67,16 +67,6 @@ def test_a_value_beyond_declared_bounds_is_refused_with_its_line(small: object) 
     manifest.loc[3, "roughness"] = 60 + 1e-8
     manifest.to_csv(small.manifest, index=False)
     assert read(small, info={"roughness": DISTANCE}).info["roughness"] == DISTANCE
-
-
-def test_metrics_to_be_compared_come_along_where_every_stimulus_has_them(small: object) -> None:
-    manifest = pd.read_csv(small.manifest)
-    manifest["holes"] = manifest["roughness"].where(manifest.index != 2)
-    manifest.to_csv(small.manifest, index=False)
-    table = read(small, further=Further(pd.DataFrame(), rivals=("temporal_match", "holes")))
-    assert table.rivals == ("roughness", "temporal_match")
-    assert "Not compared, because some rated test stimuli have no value: holes." in table.notes
-    assert read(small).rivals == ()
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +13,7 @@ import pytest
 
 from feel321.analysis.mixed.design import build_design
 from feel321.analysis.mixed.model import find_uncertainty, fit_mixed
-from feel321.analysis.mixed.optimum import Profile, find_optimum, find_sigma
+from feel321.analysis.mixed.optimum import Profile, find_optimum
 
 if TYPE_CHECKING:
     from feel321.analysis.mixed.model import MixedFit
@@ -191,20 +192,24 @@ def test_deviance_and_slope_by_definition(formula: str, kept: float, reml: bool)
     assert profile.find_slope(state) == pytest.approx(np.array(slope), abs=1e-4)
 
 
-def test_a_balanced_study_has_a_model_of_mean_rows_in_whatever_order_rows_stand() -> None:
+def test_the_order_of_rows_and_the_names_of_levels_do_not_matter() -> None:
     data = make_study(1)
     names = data.assign(kind=np.random.default_rng(4).permutation(4)[data["kind"]])
+    whole, *others = (
+        fit_mixed(WHOLE, table) for table in (data, data.sample(frac=1, random_state=1), names)
+    )
+    for other in others:
+        assert other.criterion == pytest.approx(whole.criterion, abs=1e-7)
+        assert other.fixed["df"].tolist() == pytest.approx(whole.fixed["df"].tolist(), rel=1e-4)
+
+
+def test_units_with_the_same_rows_share_their_equations() -> None:
+    data = make_study(1)
     gap = data.drop(index=data.index[data["who"] == 2][0])
-    mixed_up = data.sample(frac=1, random_state=1)
-    for table, n_random in ((data, 21), (mixed_up, 21), (names, 21), (gap, 29)):
+    for table, kinds in ((data, 1), (data.sample(frac=1, random_state=1), 1), (gap, 2)):
         profile = Profile(build_design(WHOLE, table), reml=True)
-        assert profile.unit_factor.name == "who"
-        # A person's level, two slopes, 5 scenes and 4 kinds; everybody's 5 scenes, 20 stimuli and 4 kinds. Of mean
-        # rows, those of a person and 5 + 4 more: stimuli are their residual.
-        assert (profile.own.size, profile.n_random) == (12, n_random)
-    whole, mixed = (fit_mixed(WHOLE, table) for table in (data, mixed_up))
-    assert mixed.criterion == pytest.approx(whole.criterion, abs=1e-7)
-    assert mixed.fixed["df"].tolist() == pytest.approx(whole.fixed["df"].tolist(), rel=1e-4)
+        # A person's level, two slopes, 5 scenes and 4 kinds; everybody's 5 scenes, 20 stimuli and 4 kinds.
+        assert (len(profile.counts), profile.own.size, profile.n_random) == (kinds, 12, 29)
 
 
 def test_no_better_minimum_nearby_in_small_studies_most_of_them_singular() -> None:
@@ -244,24 +249,15 @@ def test_fit_hangs_together(fit: MixedFit) -> None:
     assert fit.fitted + fit.residuals == pytest.approx(data["y"].to_numpy())
     assert fit.n_rows == 120
     assert dict(fit.n_levels) == {"who": 6, "scene": 5, "scene:kind": 20, "who:scene": 30}
-    assert fit.variances["group"].tolist() == [
-        "who",
-        "who",
-        "who",
-        "scene",
-        "scene:kind",
-        "who:scene",
-    ]
+    groups = ["who", "who", "who", "scene", "scene:kind", "who:scene"]
+    assert fit.variances["group"].tolist() == groups
     assert 0 < fit.marginal_r2 < fit.conditional_r2 < 1
 
 
 @pytest.mark.parametrize(
     ("formula", "message"),
     [
-        (
-            "y a",
-            "'response ~ fixed + (effects | group)' of columns of the table (who, scene, kind, a, b, y), got 'y a'",
-        ),
+        ("y a", "formula 'y a' cannot be fitted: write 'response ~ fixed + (effects | group)'"),
         ("y ~ a", "a random term such as (1 | group)"),
         ("y ~ a + 1 | who", "each bar in brackets of its own"),
         ("y ~ a + (1 | who", "each bar in brackets"),
@@ -278,7 +274,7 @@ def test_fit_hangs_together(fit: MixedFit) -> None:
         ("y ~ a + (0 | who)", "0 + x"),
         ("y ~ 0 + (1 | who)", "a fixed effect"),
         ("y ~ zz + (1 | who)", "cannot read 'zz'"),
-        ("y ~ a + (1 | zz)", "no column 'zz'"),
+        ("y ~ a + (1 | zz)", "no column 'zz' to group by; columns are who, scene, kind, a, b, y"),
         ("y ~ a + (1 | who) + (a | who)", "each effect once per group"),
         ("y ~ a + I(2 * a) + (1 | who)", "'I(2 * a)', which is a sum"),
         ("y ~ a + (1 | who:scene:kind)", "got 120 rows for 120 levels"),
@@ -290,7 +286,7 @@ def test_formula_refused(formula: str, message: str) -> None:
     with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared below
         fit_mixed(formula, make_study(1))
     assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_a_column_may_be_called_anything() -> None:
@@ -313,9 +309,8 @@ def test_a_column_may_be_called_anything() -> None:
     ],
 )
 def test_data_refused(change: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared below
+    with pytest.raises(ValueError, match=re.escape(message)):
         fit_mixed("y ~ a + (1 | who)", make_study(1).assign(**change))
-    assert message in str(caught.value)
 
 
 @pytest.mark.parametrize("penalty", [(), ("kind",)])
@@ -325,7 +320,7 @@ def test_spreads_are_known_as_well_as_the_curvature_of_what_was_minimised_says(
     profile = Profile(build_design(WHOLE, make_study(1)), reml=True, penalty=penalty)
     best = find_optimum(profile)
     free, size = np.flatnonzero(best.theta > 0), len(best.theta)
-    start = np.append(best.theta, np.log(find_sigma(profile, best)))
+    start = np.append(best.theta, np.log(profile.find_sigma(best)))
 
     def find_target(point: np.ndarray) -> float:
         state, log_s = profile.evaluate(point[:-1]), point[-1]
@@ -358,7 +353,7 @@ def test_penalised_spread_is_never_zero_and_vanishes_in_the_mass() -> None:
 
     def find_target(theta: np.ndarray) -> float:
         state = held.evaluate(theta)
-        return held.deviance(state) - 2 * np.log(theta[place] * find_sigma(held, state))
+        return held.deviance(state) - 2 * np.log(theta[place] * held.find_sigma(state))
 
     rise = (find_target(best.theta + step) - find_target(best.theta - step)) / 2e-5
     assert rise == pytest.approx(0, abs=1e-2)

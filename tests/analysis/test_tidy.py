@@ -12,7 +12,7 @@ from feel321.analysis.association.correlate import compare_metrics, correlate
 from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.sensitivity import vary_primary
-from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.screening import screen_raters
 from feel321.analysis.table.items import find_sources, leave_rejected, make_items, split_tests
 
 if TYPE_CHECKING:

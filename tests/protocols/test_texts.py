@@ -10,11 +10,9 @@ from feel321.protocols.texts import (
     CATALOG,
     MODEL,
     find_gaps,
-    list_borrowed,
     list_languages,
     read_scales,
     read_texts,
-    write_copy,
 )  # fmt: skip
 from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import MATCHING, THRESHOLD
@@ -144,22 +142,3 @@ def test_mistakes_in_a_few_lines_are_named(text: str, fault: str, tmp_path: Path
     with pytest.raises(ValueError, match="compare protocols") as caught:
         read_texts(path)
     assert str(caught.value).splitlines()[0].removeprefix(f"{path}: ").startswith(fault)
-
-
-@pytest.mark.parametrize("language", list_languages())
-def test_the_copy_to_edit_changes_nothing_until_it_is_edited(language: str, tmp_path: Path) -> None:
-    path = tmp_path / "texts.toml"
-    path.write_text(write_copy(language), encoding="utf-8")
-    assert read_texts(path) == read_texts(language)
-    assert list_borrowed(path) == []
-    # With every comment mark of a text taken away it is the whole catalogue.
-    whole = re.sub(r"(?m)^# (?=\S)", "", write_copy(language).partition("[scales")[2])
-    path.write_text(f'language = "{language}"\n[scales{whole}', encoding="utf-8")
-    assert read_texts(path) == read_texts(language)
-
-
-def test_a_translation_that_lacks_a_text_is_told_which(own: Path, english: str) -> None:
-    assert list_borrowed(own) == []
-    own.write_text(re.sub(r"(?s)\[pages\.ready\].*?(?=\[pages)", "", english), encoding="utf-8")
-    assert list_borrowed(own) == ["pages.ready.title", "pages.ready.text"]
-    assert read_texts(own) == read_texts()

@@ -4,7 +4,6 @@ import json
 
 import pytest
 
-from feel321.protocols.texts import CATALOG, read_texts
 from feel321.stimuli.sets.build import Facts
 from feel321.study.cli import main
 from feel321.study.folder import Problems, StudyFolder
@@ -89,31 +88,6 @@ def test_what_a_build_would_refuse_is_found_for_every_recording(
     with pytest.raises(ValueError, match=r"^recording 'bumps': ") as caught:
         build_study(study)
     assert str(caught.value) == f"{first}\n{second}"
-
-
-def test_a_translation_says_what_it_lacks(study: StudyFolder) -> None:
-    english = (CATALOG / "en.toml").read_text(encoding="utf-8")
-    (study.path / "fr.toml").write_text(english.replace('title = "Ready?"\n', ""), encoding="utf-8")
-    text = study.settings.read_text(encoding="utf-8")
-    study.settings.write_text(f'{text}[session]\nlanguage = "fr.toml"\n', encoding="utf-8")
-    found = check_study(study)
-    assert found.problems == ()
-    assert "fr.toml: has no pages.ready.title; the catalogue's is shown there" in found.warnings
-
-
-def test_the_texts_are_written_to_be_edited(
-    study: StudyFolder, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["new", str(study.path), "--texts", "de"]) == 0
-    path = study.path / "texts.toml"
-    line = f'{path}: edit it, then in study.toml under [session]: language = "texts.toml"\n'
-    assert capsys.readouterr().out == line
-    assert read_texts(path) == read_texts("de")
-    assert main(["new", str(study.path), "--texts", "en"]) == 1
-    assert "already exists and is not overwritten" in capsys.readouterr().err
-    assert main(["new", str(study.path), "--texts", "fr"]) == 2
-    refused = "feel321: --texts must be one of de, en; got 'fr'; see: feel321 new --help\n"
-    assert capsys.readouterr().err == refused
 
 
 @pytest.mark.parametrize(("rate_hz", "count"), [(2000.0, 0), (1800.0, 1)])

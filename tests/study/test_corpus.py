@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from feel321.analysis import browser
 from feel321.stimuli.wav import write_wav
 from feel321.study import cli
 from feel321.study.folder import StudyFolder
@@ -90,7 +89,7 @@ def test_what_a_pattern_cannot_say_is_refused(
 def test_each_participant_feels_a_share_and_every_recording_comes_equally_often(
     corpus: StudyFolder,
 ) -> None:
-    _, stimuli = build_study(corpus, page=False)
+    _, stimuli = build_study(corpus)
     design = make_design(read_settings(corpus.settings))
     felt: Counter[str] = Counter()
     for number in range(1, 9):
@@ -113,7 +112,7 @@ def kill(done, total):
     if done == int(sys.argv[2]):
         os.kill(os.getpid(), signal.SIGKILL)
 
-build_study(StudyFolder(Path(sys.argv[1])), page=False, progress=kill)
+build_study(StudyFolder(Path(sys.argv[1])), progress=kill)
 """
 
 
@@ -128,10 +127,10 @@ def test_a_killed_build_is_done_again(
     """Of 8 recordings x 3 stimuli, measured in 8 steps and written in 8 more."""
     command = [sys.executable, "-c", KILLED, str(corpus.path), str(steps)]
     assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
-    build_study(corpus, page=False)
+    build_study(corpus)
     other = StudyFolder(tmp_path_factory.mktemp("whole"))
     write_corpus(other.path, 8)
-    build_study(other, page=False)
+    build_study(other)
     assert read_files(corpus.stimuli) == read_files(other.stimuli)
     assert not list(corpus.stimuli.glob(".parts*"))
 
@@ -145,15 +144,3 @@ def test_long_lists_of_faults_are_cut(
     lines = capsys.readouterr().err.splitlines()
     assert sum("recording 'empty" in line for line in lines) == 20
     assert lines[-1] == "feel321: and 40 more like these; feel321 check --json lists all of a study"
-
-
-def test_the_page_of_a_large_set_shows_a_part_and_says_so(
-    corpus: StudyFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(browser, "MOST_SHOWN", 9)
-    build_study(corpus)
-    page = (corpus.stimuli / "index.html").read_text(encoding="utf-8")
-    assert "This page shows 3 of 8 recordings, spread evenly; manifest.csv lists all" in page
-    assert [f"tap{n:03d}__dft321__as_is.wav" in page for n in range(8)] == [
-        n in {0, 3, 6} for n in range(8)
-    ]

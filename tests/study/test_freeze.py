@@ -48,7 +48,7 @@ def rate(scripted: type, now: Clock) -> Callable[..., None]:
 
     def run(study: StudyFolder, participant: str = "p01", *, number: int = 1) -> None:
         settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
-        design = make_design(settings, study.path)
+        design = make_design(settings)
         plan = make_plan(design, stimuli, participant, number=number, simulated=False)
         identity = make_identity(settings, study.path, {"simulated": False})
         folder = study.sessions / participant

@@ -8,21 +8,12 @@ import pytest
 from feel321.analysis.table.reading import Further
 from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition
-from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.reducers.registry import REDUCERS as ALL
-from feel321.stimuli.rivals import RIVALS
 from feel321.stimuli.rotation import rotation_statistics
-from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import analyze as metrics
-from feel321.study.analyze import (
-    compute_rotations,
-    measure_declared,
-    measure_rivals,
-    measure_rotations,
-)
+from feel321.study.analyze import compute_rotations, measure_declared, measure_rotations
 from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import read_settings
 from feel321.study.workflow import build_study, check_study
@@ -156,21 +147,3 @@ def test_other_recordings_or_settings_leave_them_out(
     assert note.endswith("Rotation statistics of the metrics are left out.")
     assert reason in note
     assert "\n" not in note
-
-
-def test_rivals_of_a_set_are_those_of_its_reductions(tmp_path: Path) -> None:
-    scenes = [make_scene(name, duration_s=0.3) for name in ("bumps", "hard_taps")]
-    steps = Conditioning(high_pass_hz=30)
-    built = build_stimuli(
-        scenes, tmp_path / "set", reducers=["saz321", "dft321"], conditioning=steps
-    )
-    found = measure_rivals(scenes, built, Recipe(conditioning=steps))
-    tests = [one for one in built if one.role == "test"]
-    assert found.index.tolist() == [one.stimulus_id for one in tests]
-    assert found.columns.tolist() == list(RIVALS)
-    for one in tests:
-        ready = condition(next(s for s in scenes if s.name == one.recording), steps)
-        reduced = ALL[one.reducer](ready.acceleration, ready.rate_hz)
-        for name in RIVALS:
-            expected = METRICS[name](ready.acceleration, reduced, ready.rate_hz)
-            assert found.loc[one.stimulus_id, name] == pytest.approx(expected, rel=1e-9, abs=1e-9)

@@ -7,9 +7,7 @@ import numpy as np
 import pytest
 
 from feel321.study import Study
-from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
-from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import change_settings
 
 SHORT = """\
@@ -149,13 +147,3 @@ def test_an_analysis_after_a_change_accounts_for_all_that_it_wrote(pilot: Study)
     pilot.with_settings({"publication.title": "Another title"}).analyze(draws=10)
     (found,) = Study.open(pilot.folder.path).audit().findings
     assert found.startswith(f"{pilot.folder.settings}: was changed")
-
-
-def test_a_built_set_has_a_page_unless_none_is_wanted(smallest: StudyFolder) -> None:
-    page, manifest = smallest.stimuli / "index.html", smallest.manifest.read_bytes()
-    assert 'id="bumps__mag321__as_is"' in page.read_text(encoding="utf-8")
-    assert main(["build", str(smallest.path), "--no-page"]) == 0
-    assert not page.exists()
-    assert main(["build", str(smallest.path)]) == 0
-    assert page.exists()
-    assert (smallest.manifest.read_bytes(), audit_study(smallest)) == (manifest, [])

@@ -27,6 +27,8 @@ INNER = r"(?:`[^`]*`|[^()|`]|\([^()|]*\))"
 PIECE = rf"((?:`[^`]*`|[^()|`]|\({INNER}*\))+)"
 BRACKET = re.compile(rf"(?:^|\+)\s*\({PIECE}(\|\|?){PIECE}\)\s*(?=[+-]|$)")
 GROUP = re.compile(rf"\s*{NAME}\s*(?:[:/]\s*{NAME}\s*)*")
+UNREAD = r"[|]|~.*~|(offset|weights)\s*\(|(^|[~\s])\.(\s|$)"
+"""What no part of a formula may hold once names in backticks and random terms are taken out."""
 
 DEPENDENT = 1e-9
 """Share of a column's length left over beside the others, below which it is their sum but for rounding."""
@@ -49,12 +51,7 @@ class Factor:
     name: str
     n_levels: int
     index: NDArray[np.intp]
-    terms: tuple[Columns, ...]
-
-    @property
-    def width(self) -> int:
-        """Number of effects per level."""
-        return sum(len(term.names) for term in self.terms)
+    terms: tuple[Columns, ...] = ()
 
     @property
     def columns(self) -> Matrix:
@@ -77,65 +74,57 @@ def build_design(formula: str, data: DataFrame) -> MixedDesign:
     import pandas as pd
 
     if not isinstance(data, pd.DataFrame):
-        raise TypeError(
-            f"data must be a pandas DataFrame, one row per observation, got {type(data).__name__}"
-        )
+        got = type(data).__name__
+        raise TypeError(f"data must be a pandas DataFrame, one row per observation, got {got}")
     if data.empty or not data.columns.is_unique:
-        raise ValueError(
-            "data must have one row per observation and each column once, got no rows, or one of "
-            f"{', '.join(map(str, data.columns))} twice; rename or drop it"
-        )
-    left, tilde, right = formula.partition("~") if isinstance(formula, str) else ("", "", "")
-    # Brackets are taken out with their plus sign; what is left is the fixed part.
-    fixed = BRACKET.sub(" ", right).strip().removeprefix("+").strip()
-    plain = re.sub("`[^`]*`", "", f"{left}~{fixed}")
-    if not tilde or re.search(r"[|]|~.*~|(offset|weights)\s*\(|(^|[~\s])\.(\s|$)", plain):
-        raise _refuse(
-            formula, data, "each bar in brackets of its own after a plus, one ~, no . or offset"
-        )
-    brackets = BRACKET.findall(right)
-    if not left.strip() or not brackets:
-        raise _refuse(formula, data, "a response and a random term such as (1 | group) are needed")
-    # Arithmetic, not formula operators: y / 10 is no nesting.
-    left = left.strip()
-    response = left if re.fullmatch(r"[\w.]+|`[^`]+`", left) else f"I({left})"
+        twice = data.columns[data.columns.duplicated()]
+        got = f"column {twice[0]!r} twice; rename or drop one" if len(twice) else "no rows"
+        raise ValueError(f"data must have rows, and each column once, got {got}")
+    response, fixed, brackets = _read_formula(formula)
     values = _expand(f"0 + {response}", formula, data).columns
     if values.shape[1] != 1:
-        raise _refuse(formula, data, f"a response of numbers, not of {values.shape[1]} columns")
-    names, columns = _expand(fixed or "1", formula, data)
-    factors = _read_factors(brackets, formula, data)
-    design = MixedDesign(values[:, 0], names, columns, factors)
-    _check_fixed(design)
-    return design
-
-
-def _read_factors(
-    brackets: Sequence[tuple[str, str, str]], formula: str, data: DataFrame
-) -> tuple[Factor, ...]:
-    """Build one factor per group, holding all its terms, because their levels are the same."""
+        raise _refuse(formula, "name a response of numbers, not of categories")
+    names, columns = _expand(fixed, formula, data)
+    _check_fixed(names, columns, values[:, 0])
+    # One factor per group, holding all its terms, because their levels are the same.
     factors: dict[str, Factor] = {}
     for effects, bar, group in brackets:
-        parts = _split_effects(effects.strip(), formula, data) if bar == "||" else [effects.strip()]
+        parts = _split_effects(effects, formula) if bar == "||" else [effects]
         terms = tuple(_expand(part, formula, data) for part in parts)
         if not terms or not all(term.names for term in terms) or not GROUP.fullmatch(group):
             why = "brackets hold an effect such as 1, x or 0 + x, then groups such as a, a:b or a/b"
-            raise _refuse(formula, data, why)
-        steps = [[name.strip().strip("`") for name in step.split(":")] for step in group.split("/")]
+            raise _refuse(formula, why)
+        steps = [[name.strip("` ") for name in step.split(":")] for step in group.split("/")]
         for depth in range(len(steps)):
             own = [name for step in steps[depth::-1] for name in step]
-            before = factors.get(":".join(own)) or _number_levels(own, formula, data)
-            factors[before.name] = replace(before, terms=(*before.terms, *terms))
+            factor = factors.get(":".join(own)) or _number_levels(own, formula, data)
+            factors[factor.name] = replace(factor, terms=(*factor.terms, *terms))
     for factor in factors.values():
         _check_factor(factor)
-    return tuple(factors.values())
+    return MixedDesign(values[:, 0], names, columns, tuple(factors.values()))
 
 
-def _refuse(formula: str, data: DataFrame, why: str) -> ValueError:
-    columns = ", ".join(map(str, data.columns))
-    return ValueError(
-        f"formula must be 'response ~ fixed + (effects | group)' of columns of the table ({columns}), got "
-        f"{formula!r}; {why}"
-    )
+def _read_formula(formula: str) -> tuple[str, str, list[tuple[str, str, str]]]:
+    """Take a formula apart: response, fixed part, and effects, bar and group of each bracket."""
+    left, tilde, right = formula.partition("~") if isinstance(formula, str) else ("", "", "")
+    left = left.strip()
+    if not left or not tilde:
+        raise _refuse(formula, "write 'response ~ fixed + (effects | group)'")
+    # Brackets are taken out with their plus sign; what is left is the fixed part.
+    fixed = BRACKET.sub(" ", right).strip().removeprefix("+").strip()
+    if re.search(UNREAD, re.sub("`[^`]*`", "", f"{left}~{fixed}")):
+        why = "write each bar in brackets of its own after a plus, one ~, no . or offset"
+        raise _refuse(formula, why)
+    brackets = [(effects.strip(), bar, group) for effects, bar, group in BRACKET.findall(right)]
+    if not brackets:
+        raise _refuse(formula, "add a random term such as (1 | group)")
+    # Arithmetic, not formula operators: y / 10 is no nesting.
+    response = left if re.fullmatch(r"[\w.]+|`[^`]+`", left) else f"I({left})"
+    return response, fixed or "1", brackets
+
+
+def _refuse(formula: str, why: str) -> ValueError:
+    return ValueError(f"formula {formula!r} cannot be fitted: {why}")
 
 
 def _expand(text: str, formula: str, data: DataFrame) -> Columns:
@@ -170,31 +159,24 @@ def _run_formulaic(text: str, formula: str, data: DataFrame) -> Columns:
             warnings.simplefilter("ignore")
             matrix = model_matrix(_write_python(text), data, context=functions, na_action="ignore")
     except known as error:
-        why = str(error).splitlines()[:1]
-        raise _refuse(formula, data, f"cannot read {text!r}: {''.join(why)}") from error
+        why = "".join(str(error).splitlines()[:1])
+        raise _refuse(formula, f"cannot read {text!r} ({why})") from error
     # Rows whose category is missing come out as zeros, as if they were of the first one.
     for name in matrix.model_spec.required_variables:
         if name in data and (gaps := int(data[name].isna().sum())):
-            raise ValueError(
-                f"data must have a value in every row, got {gaps} rows without {name!r}; leave them out"
-            )
+            got = f"got {gaps} rows without {name!r}; leave them out"
+            raise ValueError(f"data must have a value in every row, {got}")
     values = np.asarray(matrix, dtype=np.float64).reshape(len(data), -1)
-    names = tuple(map(_name_like_r, map(str, matrix.columns)))
+    # As R names them: recipe[T.B] is recipeB.
+    names = [re.sub(r"\[(?:T\.)?([^\]]*?)(?:\.0)?\]", r"\1", str(name)) for name in matrix.columns]
+    names = [name.replace("as_factor(", "as.factor(").replace(" ** ", "^") for name in names]
+    names = ["(Intercept)" if name == "Intercept" else name for name in names]
     bad = ~np.isfinite(values)
     if bad.any():
         row, column = np.argwhere(bad)[0]
-        raise ValueError(
-            f"data must be finite, got {bad[:, column].sum()} values of {names[column]!r} that are not, first in row "
-            f"{row}; leave such rows out"
-        )
-    return Columns(names, values)
-
-
-def _name_like_r(name: str) -> str:
-    if name == "Intercept":
-        return "(Intercept)"
-    plain = re.sub(r"\[(?:T\.)?([^\]]*?)(?:\.0)?\]", r"\1", name)
-    return plain.replace("as_factor(", "as.factor(").replace(" ** ", "^")
+        got = f"got {bad[:, column].sum()} values of {names[column]!r} that are not"
+        raise ValueError(f"data must be finite, {got}, first in row {row}; leave such rows out")
+    return Columns(tuple(names), values)
 
 
 def _write_python(text: str) -> str:
@@ -204,8 +186,7 @@ def _write_python(text: str) -> str:
 
 def _settle_types(data: DataFrame) -> DataFrame:
     """Make numbers numbers and words words, whatever pandas keeps them in."""
-    settled = data.reset_index(drop=True).infer_objects()
-    new = {}
+    settled, new = data.reset_index(drop=True).infer_objects(), {}
     for name, column in settled.items():
         kind = str(column.dtype)
         # Unused categories would ask for an effect without data; true and false are named as R does.
@@ -218,7 +199,7 @@ def _settle_types(data: DataFrame) -> DataFrame:
     return settled.assign(**new) if new else settled
 
 
-def _split_effects(effects: str, formula: str, data: DataFrame) -> list[str]:
+def _split_effects(effects: str, formula: str) -> list[str]:
     """Write a double bar out as lme4 does: term by term, so that the levels of one category stay together."""
     if re.fullmatch(rf"1( \+ {NAME})*", effects):
         return ["1", *(f"0 + {name}" for name in re.findall(NAME, effects[1:]))]
@@ -232,7 +213,7 @@ def _split_effects(effects: str, formula: str, data: DataFrame) -> list[str]:
     try:
         terms = [":".join(map(quote, term.factors)) for term in Formula(_write_python(effects))]
     except (FormulaicError, SyntaxError, AttributeError) as error:  # the last at a part with sides
-        raise _refuse(formula, data, f"cannot read {effects!r}") from error
+        raise _refuse(formula, f"cannot read {effects!r}") from error
     return [term if term == "1" else f"0 + {term}" for term in terms]
 
 
@@ -241,15 +222,15 @@ def _number_levels(names: Sequence[str], formula: str, data: DataFrame) -> Facto
     combined = np.zeros(len(data), dtype=np.intp)
     for name in names:
         if name not in data:
-            raise _refuse(formula, data, f"there is no column {name!r} to group by")
+            columns = ", ".join(map(str, data))
+            raise _refuse(formula, f"no column {name!r} to group by; columns are {columns}")
         codes, values = data[name].factorize(sort=True)
         if (codes < 0).any():
-            raise ValueError(
-                f"data must have a level of {name} in every row, got rows without; leave them out"
-            )
+            got = f"got {int((codes < 0).sum())} rows without; leave them out"
+            raise ValueError(f"data must have a level of {name} in every row, {got}")
         combined = combined * len(values) + codes
-    found, index = np.unique(combined, return_inverse=True)
-    return Factor(":".join(names), len(found), index, ())
+    levels, index = np.unique(combined, return_inverse=True)
+    return Factor(":".join(names), len(levels), index)
 
 
 def _check_factor(factor: Factor) -> None:
@@ -257,36 +238,28 @@ def _check_factor(factor: Factor) -> None:
     names = [name for term in factor.terms for name in term.names]
     most = max(len(term.names) for term in factor.terms)
     if factor.n_levels < 2 or factor.n_levels * most >= n_rows:  # noqa: PLR2004 - a spread needs two
-        raise ValueError(
-            f"data must have two or more levels of {factor.name}, and more rows than levels x effects, got {n_rows} "
-            f"rows for {factor.n_levels} levels with {most} effects each; leave its brackets out"
-        )
+        got = f"got {n_rows} rows for {factor.n_levels} levels with {most} effects each"
+        rule = f"two or more levels of {factor.name}, and more rows than levels x effects"
+        raise ValueError(f"data must have {rule}, {got}; leave its brackets out")
     if len(set(names)) < len(names) or not factor.columns.any(axis=0).all():
-        raise ValueError(
-            f"formula must have each effect once per group, and data vary in it, got {', '.join(names)} over "
-            f"{factor.name}"
-        )
+        rule = "each effect once per group, and data vary in it"
+        raise ValueError(f"formula must have {rule}, got {', '.join(names)} over {factor.name}")
 
 
-def _check_fixed(design: MixedDesign) -> None:
-    n_rows, n_fixed = design.fixed.shape
+def _check_fixed(names: tuple[str, ...], fixed: Matrix, response: Matrix) -> None:
+    n_rows, n_fixed = fixed.shape
     if not 0 < n_fixed < n_rows:
-        raise ValueError(
-            f"formula must have a fixed effect, an intercept (1) or a slope at least, and data more rows than effects, "
-            f"got {n_rows} rows for {n_fixed} fixed effects"
-        )
-    lengths = np.linalg.norm(design.fixed, axis=0)
-    scaled = design.fixed / np.where(lengths > 0, lengths, 1)
-    basis, triangle = np.linalg.qr(scaled)
+        rule = "a fixed effect, an intercept (1) or a slope, and data more rows than effects"
+        raise ValueError(f"formula must have {rule}, got {n_rows} rows for {n_fixed} fixed effects")
+    lengths = np.linalg.norm(fixed, axis=0)
+    basis, triangle = np.linalg.qr(fixed / np.where(lengths > 0, lengths, 1))
     dependent = np.abs(np.diag(triangle)) < DEPENDENT
     if dependent.any():
-        raise ValueError(
-            f"data must tell the fixed effects apart, got {design.names[int(dependent.argmax())]!r}, which is a sum "
-            "of those before it (or constant); leave it out of the formula"
-        )
-    left = design.response - basis @ (basis.T @ design.response)
-    size = np.linalg.norm(design.response)
+        got = f"got {names[int(dependent.argmax())]!r}, which is a sum of those before it"
+        do = "leave it out of the formula"
+        raise ValueError(f"data must tell the fixed effects apart, {got} (or constant); {do}")
+    left = response - basis @ (basis.T @ response)
+    size = np.linalg.norm(response)
     if size == 0 or np.linalg.norm(left) <= FLAT * size:
-        raise ValueError(
-            "data must have a response with scatter, got one that is constant, or that the fixed effects give exactly"
-        )
+        got = "got one that is constant, or that the fixed effects give exactly"
+        raise ValueError(f"data must have a response with scatter, {got}")

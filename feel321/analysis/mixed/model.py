@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from feel321.analysis.arrays import CONFIDENCE
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
 from feel321.doors import describe
@@ -26,21 +27,38 @@ NEAR, STEPS = 1e-5, 3
 BOUND = 1 - 1e-6
 """A correlation beyond this is one of ±1 but for rounding."""
 
-CONFIDENCE = 0.95
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Uncertainty:
-    """What the variance of any combination of fixed effects follows from.
+    """The fixed effects, and what the variance of any combination of them follows from.
 
-    covariance: (n_fixed, n_fixed); slopes: (n_theta + 1, n_fixed, n_fixed); parameters: (n_theta +
+    effects: (n_fixed,); covariance: (n_fixed, n_fixed); slopes: (n_theta + 1, n_fixed, n_fixed); parameters: (n_theta +
     1, n_theta + 1); most_df: largest degrees of freedom that are believed.
     """
 
+    effects: Samples
     covariance: Samples
     slopes: Samples
     parameters: Samples
     most_df: float = np.inf
+
+    def estimate(self, weights: Samples) -> Statistic:
+        """Estimate a weighted sum of fixed effects; weights: (n_fixed,).
+
+        With v = w' C w and g its derivatives with respect to the spreads, whose covariance is A, the degrees of
+        freedom are 2 v² / g' A g (Satterthwaite 1946, doi 10.2307/3002019; lmerTest, doi 10.18637/jss.v082.i13).
+        """
+        from scipy.stats import t as student
+
+        variance = float(weights @ self.covariance @ weights)
+        slope = np.einsum("i,kij,j->k", weights, self.slopes, weights)
+        df = min(float(2 * variance**2 / (slope @ self.parameters @ slope)), self.most_df)
+        value, se = float(weights @ self.effects), float(np.sqrt(variance))
+        margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
+        p = float(2 * student.sf(abs(value / se), df))
+        return Statistic(
+            "Estimate", estimate=value, se=se, df=df, t=value / se, p=p, low=value - margin, high=value + margin
+        )  # fmt: skip
 
 
 def find_uncertainty(
@@ -58,35 +76,63 @@ def find_uncertainty(
         if moved <= NEAR:
             break
         hessian, slopes = profile.differentiate(best)
-    covariance = (
-        optimum.find_coefficients(profile, best)[1] * optimum.find_sigma(profile, best) ** 2
-    )
+    effects, relative = profile.find_coefficients(best)
     values, vectors = np.linalg.eigh(hessian)
     kept = values > optimum.FLAT
     parameters = 2 * (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    return best, Uncertainty(covariance, slopes, parameters, most_df)
+    covariance = relative * profile.find_sigma(best) ** 2
+    return best, Uncertainty(effects, covariance, slopes, parameters, most_df)
 
 
-def estimate_sum(effects: Samples, weights: Samples, uncertainty: Uncertainty) -> Statistic:
-    """Estimate a weighted sum of fixed effects; effects and weights: (n_fixed,).
+class Solved(NamedTuple):
+    """A design's deviance at its minimum, and what is known of the fixed effects there."""
 
-    Notes
-    -----
-    With v = w' C w and g its derivatives with respect to the spreads, whose covariance is A, the degrees of
-    freedom are 2 v² / g' A g (Satterthwaite 1946, doi 10.2307/3002019; lmerTest, doi 10.18637/jss.v082.i13).
-    """
-    from scipy.stats import t as student
+    profile: optimum.Profile
+    best: optimum.State
+    uncertainty: Uncertainty
 
-    variance = float(weights @ uncertainty.covariance @ weights)
-    slope = np.einsum("i,kij,j->k", weights, uncertainty.slopes, weights)
-    df = float(2 * variance**2 / (slope @ uncertainty.parameters @ slope))
-    df = min(df, uncertainty.most_df)
-    value, se = float(weights @ effects), float(np.sqrt(variance))
-    margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
-    p = float(2 * student.sf(abs(value / se), df))
-    return Statistic(
-        "Estimate", estimate=value, se=se, df=df, t=value / se, p=p, low=value - margin, high=value + margin
-    )  # fmt: skip
+    def estimate(self, weights: Mapping[str, float]) -> Statistic:
+        """Estimate a weighted sum of fixed effects, by name; all others count 0."""
+        values = [weights.get(name, 0.0) for name in self.profile.design.names]
+        return self.uncertainty.estimate(np.array(values))
+
+    def list_spreads(self) -> Iterator[tuple[str, tuple[str, ...], Samples]]:
+        """List group, effects and covariance of what varies together, in the order of the formula."""
+        variance = self.profile.find_sigma(self.best) ** 2
+        covariances = self.profile.find_spreads(self.best)
+        for block, covariance in zip(self.profile.blocks, covariances, strict=True):
+            start = 0
+            for term in block.factor.terms:
+                place = slice(start, start := start + len(term.names))
+                yield block.factor.name, term.names, covariance[place, place] * variance
+
+    def note_zeros(self) -> tuple[str, ...]:
+        """Say what makes a fit singular; nothing for a regular one."""
+        zero, tied, notes = [], [], []
+        for group, names, covariance in self.list_spreads():
+            sd = np.sqrt(np.diag(covariance))
+            zero += [f"{name} over {group}" for name in np.array(names)[sd == 0]]
+            size = np.outer(sd, sd)
+            bound = (np.abs(covariance) > BOUND * size) & (size > 0)
+            pairs = np.argwhere(np.tril(bound, -1))
+            tied += [f"{names[i]} and {names[j]} over {group}" for j, i in pairs]
+        if zero:
+            notes.append(f"the spread of {'; '.join(zero)} is estimated as zero, and kept")
+        if tied:
+            notes.append(f"the effects {'; '.join(tied)} are estimated as perfectly correlated")
+        if (self.best.theta[self.profile.diagonal] == 0).any() and not notes:
+            notes.append("some random effects are estimated as weighted sums of others")
+        return tuple(f"Singular fit: {note}." for note in notes)
+
+
+def solve_design(
+    design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = (), most_df: float = np.inf
+) -> Solved:
+    """Minimise a design's deviance."""
+    profile = optimum.Profile(design, reml=reml, penalty=penalty)
+    with optimum.hold_threads(profile.n_random):
+        best = optimum.find_optimum(profile)
+        return Solved(profile, *find_uncertainty(profile, best, most_df=most_df))
 
 
 class MixedFit(Statistic):
@@ -170,78 +216,9 @@ def fit_mixed(
     >>> round(fit.residual_sd, 2), round(fit.criterion, 2), fit.singular
     (0.46, 29.93, False)
     """
-    solved = solve_design(build_design(formula, data), reml=reml, penalty=penalty)
-    return report_fit(formula, solved)
-
-
-class Solved(NamedTuple):
-    """A design's deviance at its minimum, and what is known of the fixed effects there."""
-
-    profile: optimum.Profile
-    best: optimum.State
-    coefficients: Samples
-    uncertainty: Uncertainty
-
-    def estimate(self, weights: Mapping[str, float]) -> Statistic:
-        """Estimate a weighted sum of fixed effects, by name; all others count 0."""
-        values = np.array([weights.get(name, 0.0) for name in self.profile.design.names])
-        return estimate_sum(self.coefficients, values, self.uncertainty)
-
-    def list_spreads(self) -> Iterator[tuple[str, tuple[str, ...], Samples]]:
-        """List group, effects and covariance of what varies together, in the order of the formula."""
-        variance = optimum.find_sigma(self.profile, self.best) ** 2
-        covariances = optimum.find_spreads(self.profile, self.best)
-        for block, covariance in zip(self.profile.blocks, covariances, strict=True):
-            start = 0
-            for term in block.factor.terms:
-                place = slice(start, start := start + len(term.names))
-                yield block.factor.name, term.names, covariance[place, place] * variance
-
-    def note_zeros(self) -> tuple[str, ...]:
-        """Say what makes a fit singular; nothing for a regular one."""
-        zero, tied = [], []
-        for group, names, covariance in self.list_spreads():
-            sd = np.sqrt(np.diag(covariance))
-            zero += [f"{name} over {group}" for name in np.array(names)[sd == 0]]
-            size = np.outer(sd, sd)
-            bound = (np.abs(covariance) > BOUND * size) & (size > 0)
-            pairs = np.argwhere(np.tril(bound, -1))
-            tied += [f"{names[i]} and {names[j]} over {group}" for j, i in pairs]
-        lead, notes = "Singular fit:", list[str]()
-        if zero:
-            notes.append(f"{lead} the spread of {'; '.join(zero)} is estimated as zero, and kept.")
-        if tied:
-            notes.append(
-                f"{lead} the effects {'; '.join(tied)} are estimated as perfectly correlated."
-            )
-        if (self.best.theta[self.profile.diagonal] == 0).any() and not notes:
-            notes.append(f"{lead} some random effects are estimated as weighted sums of others.")
-        return tuple(notes)
-
-
-def solve_design(
-    design: MixedDesign,
-    *,
-    reml: bool = True,
-    penalty: Sequence[str] = (),
-    most_df: float = np.inf,
-    start: Solved | None = None,
-) -> Solved:
-    """Minimise a design's deviance; start: a fit of the same terms to nearly the same data, for speed."""
-    profile = optimum.Profile(design, reml=reml, penalty=penalty)
-    terms, before = (
-        one
-        and [
-            (block.factor.name, [term.names for term in block.factor.terms]) for block in one.blocks
-        ]
-        for one in (profile, start and start.profile)
+    return report_fit(
+        formula, solve_design(build_design(formula, data), reml=reml, penalty=penalty)
     )
-    with optimum.hold_threads(profile.n_random):
-        theta = start.best.theta if start and terms == before else None
-        best = optimum.find_optimum(profile, start=theta)
-        best, uncertainty = find_uncertainty(profile, best, most_df=most_df)
-        coefficients, _ = optimum.find_coefficients(profile, best)
-        return Solved(profile, best, coefficients, uncertainty)
 
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:
@@ -249,7 +226,7 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     import pandas as pd
 
     profile, best, design = solved.profile, solved.best, solved.profile.design
-    residual_sd, notes = optimum.find_sigma(profile, best), solved.note_zeros()
+    residual_sd, notes = profile.find_sigma(best), solved.note_zeros()
     spreads, ties = [], []
     for group, names, covariance in solved.list_spreads():
         sd = np.sqrt(np.diag(covariance))
@@ -259,21 +236,18 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
             tie = float(np.clip(covariance[i, j] / size, -1, 1)) if size > 0 else float("nan")
             ties.append((group, names[i], names[j], tie))
     columns = ["group", "first", "second", "correlation"]
-    predicted = design.fixed @ solved.coefficients
+    predicted = design.fixed @ solved.uncertainty.effects
     fitted, random = predicted, 0.0
-    modes = optimum.find_modes(profile, best.theta)
-    for block, effects, covariance in zip(
-        profile.blocks, modes, optimum.find_spreads(profile, best), strict=True
+    covariances = profile.find_spreads(best)
+    for block, modes, covariance in zip(
+        profile.blocks, profile.find_modes(best), covariances, strict=True
     ):
         own = block.factor.columns
-        fitted = fitted + np.sum(own * effects[block.factor.index], axis=1)
+        fitted = fitted + np.sum(own * modes[block.factor.index], axis=1)
         random += float(np.einsum("ni,ij,nj->", own, covariance, own))
-    # Nakagawa's R².
-    parts = np.array([
-        np.var(predicted, ddof=1),
-        random / profile.n_rows * residual_sd**2,
-        residual_sd**2,
-    ])
+    # Nakagawa's R², of the variances of fixed effects, random effects and residual.
+    random *= residual_sd**2 / profile.n_rows
+    parts = np.array([np.var(predicted, ddof=1), random, residual_sd**2])
     rows = [solved.estimate({name: 1.0}) for name in design.names]
     return MixedFit(
         "MixedFit", formula=formula, reml=profile.reml,
@@ -328,8 +302,9 @@ def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Statistic:
     terms = list(fit.fixed.index)
     values = np.array([float(weights.get(name, 0)) for name in terms])
     if not set(weights) <= set(terms) or not np.isfinite(values).all() or not values.any():
-        raise ValueError(
-            f"weights must be finite numbers of terms of the model ({', '.join(terms)}), one of them other than 0, got "
-            f"{dict(weights)}"
+        rule = (
+            f"finite numbers of terms of the model ({', '.join(terms)}), one of them other than 0"
         )
-    return estimate_sum(fit.fixed["estimate"].to_numpy(), values, fit.uncertainty)
+        raise ValueError(f"weights must be {rule}, got {dict(weights)}")
+    estimate: Statistic = fit.uncertainty.estimate(values)
+    return estimate

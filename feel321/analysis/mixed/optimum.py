@@ -9,10 +9,6 @@ person's own) fall into one block per unit, and these are eliminated at once; wh
 and y as its last rows, so that one Cholesky factor holds the determinants, the coefficients and the residual. Units
 whose rows are alike share a block: only the sums of their y differ.
 
-In a balanced study all units have the same rows. Their mean, and what deviates from it, are then independent: n - 1
-times the unit's own block for what deviates, and a model of the mean rows. There a factor with a level for every row
-(stimuli) is more of the residual, `ratio` times s², and takes no columns.
-
 Columns are scaled first: Z's to unit mean square, X to orthonormal columns, y to what X leaves over. The
 deviance is that of the data as given; results are scaled back.
 """
@@ -22,7 +18,7 @@ from __future__ import annotations
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,9 +48,6 @@ LARGEST = 1e5
 
 PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
 
-NEAR = 0.1
-"""Least spread that a search starts from: at 0 it would rest."""
-
 STEP = 1e-4
 """Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
 
@@ -70,7 +63,7 @@ some thousands is known to."""
 class Block:
     """A factor's scale, (width,), and its triangle of spreads: entries [rows, columns] are theta[theta].
 
-    Where the factor is nested in the unit, place is the number of each of its levels among the unit's, (n_levels,).
+    unit: the unit of each of its levels, and place: its number there, (n_levels,); None where it is not nested.
     """
 
     factor: Factor
@@ -80,11 +73,6 @@ class Block:
     columns: Codes
     unit: Codes
     place: Codes | None
-
-    @property
-    def count(self) -> int:
-        """Number of its levels that one set of columns holds: those of a unit, or all."""
-        return self.factor.n_levels if self.place is None else int(self.place.max()) + 1
 
     def triangle(self, theta: Samples) -> Samples:
         """Write the parameters as a triangle, (width, width)."""
@@ -103,9 +91,8 @@ def place_factors(factors: Sequence[Factor], unit: Factor) -> Iterator[Block]:
             corner += len(term.names)
         rows, columns = np.hstack(places)
         scale = np.sqrt(np.mean(factor.columns**2, axis=0))
-        theta = slice(start, start + len(rows))
+        theta = slice(start, start := start + len(rows))
         yield Block(factor, scale, theta, rows, columns, *nest(factor, unit))
-        start += len(rows)
 
 
 def nest(factor: Factor, unit: Factor) -> tuple[Codes, Codes | None]:
@@ -126,12 +113,13 @@ class Spread:
     def __init__(self, blocks: Sequence[Block], *, extra: int = 0) -> None:
         self.n_effects, self.first, parts = 0, dict[str, "Codes"](), [(np.empty(0, np.intp),) * 3]
         for block in blocks:
-            start = self.n_effects + len(block.scale) * np.arange(block.count)
-            self.n_effects += len(block.scale) * block.count
+            count = block.factor.n_levels if block.place is None else int(block.place.max()) + 1
+            start = self.n_effects + len(block.scale) * np.arange(count)
+            self.n_effects += len(block.scale) * count
             self.first[block.factor.name] = start
             places = np.arange(block.theta.start, block.theta.stop)
             rows, columns = (start[:, None] + one for one in (block.rows, block.columns))
-            parts.append((rows.ravel(), columns.ravel(), np.tile(places, block.count)))
+            parts.append((rows.ravel(), columns.ravel(), np.tile(places, count)))
         self.rows, self.columns, self.places = map(np.concatenate, zip(*parts, strict=True))
         self.size, self.straight = self.n_effects + extra, bool((self.rows == self.columns).all())
 
@@ -157,6 +145,12 @@ class Spread:
         half = self.times(matrix, theta, turned=turned)
         return self.times(half.swapaxes(-1, -2), theta, turned=turned)
 
+    def gather(self, one: Samples, other: Samples, n_theta: int) -> Samples:
+        """Add up what stands at the entries of each parameter in the products of matrices, (n, size, size)."""
+        along = np.einsum("kij,kji->i", one[:, self.rows], other[:, :, self.columns])
+        found = np.bincount(self.places, along, n_theta)
+        return found.astype(np.float64, copy=False)
+
 
 @dataclass(frozen=True)
 class State:
@@ -173,62 +167,37 @@ class State:
 
 
 class Profile:
-    """The deviance as a function of theta, for one design; whole: with a place for every random effect."""
+    """The deviance as a function of theta, for one design."""
 
-    def __init__(
-        self, design: MixedDesign, *, reml: bool, penalty: Sequence[str] = (), whole: bool = False
-    ) -> None:
-        self.design, self.reml, self.penalty = design, reml, tuple(penalty)
+    def __init__(self, design: MixedDesign, *, reml: bool, penalty: Sequence[str] = ()) -> None:
+        self.design, self.reml = design, reml
         self.n_rows, self.n_fixed = design.fixed.shape
         self.freedom = self.n_rows - self.n_fixed if reml else self.n_rows
-        self.unit_factor = _choose_unit(design.factors)
-        self.n_units = self.unit_factor.n_levels
-        self.blocks = tuple(place_factors(design.factors, self.unit_factor))
+        unit = _choose_unit(design.factors)
+        self.n_units = unit.n_levels
+        self.blocks = tuple(place_factors(design.factors, unit))
         self.diagonal = np.concatenate([block.rows == block.columns for block in self.blocks])
         self.penalised = _find_penalised(self.blocks, penalty)
         # Every spread whose logarithm is penalised takes one residual's along, for spreads are in units of it.
         self.weight = self.freedom - int(self.penalised.sum())
-        own = [one for one in self.blocks if one.place is not None]
+        self.own = Spread([one for one in self.blocks if one.place is not None])
         shared = [one for one in self.blocks if one.place is None]
-        self.own = Spread(own)
-        self.scatter, self.n_each = 0.0, self.n_rows // self.n_units
-        kinds, order = self._find_kinds()
-        self.each: Block | None = None
-        if not whole and self.n_units > 1 and not kinds.any() and self.n_each > self.own.size:
-            self.each = _find_residual(shared, order[: self.n_each])
-        if self.each is not None:
-            blocks = [*own, *(one for one in shared if one is not self.each)]
-            self.shared = Spread(blocks, extra=self.n_fixed + 1)
-            self._reduce_balanced(order.reshape(self.n_units, -1), blocks)
-            return
         self.shared = Spread(shared, extra=self.n_fixed + 1)
         if self.n_random > MOST_LEVELS:
-            raise ValueError(
-                f"data must have at most {MOST_LEVELS} effects beside those of {self.unit_factor.name}, for memory, "
-                f"got {self.n_random}; average repeated rows, or leave out a group with many levels"
-            )
-        self._reduce_rows(kinds)
-
-    def _find_kinds(self) -> tuple[Codes, Codes]:
-        """Give one number to units with the same rows, but for y and for the names of what is their own; order rows."""
-        parts: list[NDArray[Any]] = [self.design.fixed]
-        for block in self.blocks:
-            index = block.factor.index
-            level = index if block.place is None else block.place[index]
-            parts += [block.factor.columns, level[:, None]]
-        rows, unit = np.hstack(parts) + 0.0, self.unit_factor.index  # no -0, whose bytes differ
-        order, known = np.lexsort([*rows.T, unit]), dict[bytes, int]()
-        whole = np.split(rows[order], np.cumsum(np.bincount(unit))[:-1])
-        return np.array([known.setdefault(one.tobytes(), len(known)) for one in whole]), order
+            must = f"at most {MOST_LEVELS} effects beside those of {unit.name}, for memory"
+            do = "average repeated rows, or leave out a group with many levels"
+            raise ValueError(f"data must have {must}, got {self.n_random}; {do}")
+        basis, self.triangle_x = np.linalg.qr(design.fixed)
+        self.log_x = float(2 * np.log(np.abs(np.diag(self.triangle_x))).sum())
+        self.offset = basis.T @ design.response
+        rest = design.response - basis @ self.offset
+        self.scale = float(np.sqrt(rest @ rest / self.n_rows))
+        self._reduce_rows(unit, np.column_stack([basis, rest / self.scale]))
 
     @property
     def n_random(self) -> int:
         """Effects in the dense matrix."""
         return self.shared.n_effects
-
-    def ratio(self, theta: Samples) -> float:
-        """Variance of a mean row beside that of the residual, in a balanced study."""
-        return 1 + self.n_units * float(theta[self.each.theta][0]) ** 2 if self.each else 1.0
 
     def list_columns(self, block: Block) -> Codes:
         """List the columns of every level of a factor, (n_levels, width), those of the units first."""
@@ -240,67 +209,40 @@ class Profile:
         columns: Codes = first[:, None] + np.arange(len(block.scale))
         return columns
 
-    def _scale_fixed(self, fixed: Samples, response: Samples, scatter: float) -> list[Samples]:
-        """Keep the scale of X and y, of which scatter is apart; return the columns X and y, (n, n_fixed + 1)."""
-        basis, self.triangle_x = np.linalg.qr(fixed)
-        self.log_x = float(2 * np.log(np.abs(np.diag(self.triangle_x))).sum())
-        self.offset = basis.T @ response
-        rest = response - basis @ self.offset
-        self.unit = float(np.sqrt((rest @ rest + scatter) / self.n_rows))
-        self.scatter = scatter / self.unit**2
-        return [basis, rest[:, None] / self.unit]
-
-    def _reduce_balanced(self, order: Codes, blocks: list[Block]) -> None:
-        """Keep the cross products of the mean over units, and of what deviates from it."""
-        first, root = order[0], np.sqrt(self.n_units)
-        values = self.design.response[order]
-        deviation = values - values.mean(axis=0)
-        ends = self._scale_fixed(
-            root * self.design.fixed[first], root * values.mean(axis=0), float((deviation**2).sum())
-        )
-        columns = np.zeros((self.n_each, self.n_random))
-        for block in blocks:
-            level = block.factor.index[first]
-            level = level if block.place is None else block.place[level]
-            factor = root if block.place is None else 1.0
-            at = self.shared.first[block.factor.name][level][:, None] + np.arange(len(block.scale))
-            scaled = factor * block.factor.columns[first] / block.scale
-            np.put_along_axis(columns, at, scaled, axis=1)
-        dense = np.hstack([columns, *ends])
-        self.outer = dense.T @ dense
-        size = self.own.size
-        seen = deviation @ columns[:, :size] / self.unit
-        self.inner, self.squares = self.outer[None, :size, :size], (seen.T @ seen)[None]
-        self.counts = np.array([self.n_units - 1.0])
-
-    def _reduce_rows(self, kinds: Codes) -> None:
-        """Keep only the cross products, of units that are alike once."""
+    def _reduce_rows(self, unit: Factor, ends: Samples) -> None:
+        """Keep only the cross products, of units that are alike once; ends: X and y, (n_rows, n_fixed + 1)."""
         from scipy.sparse import csr_array
 
         size, tail = self.own.size, self.n_units * self.own.size
         width = tail + self.shared.size
-        ends = self._scale_fixed(self.design.fixed, self.design.response, 0.0)
-        last = np.broadcast_to(
-            np.arange(width - self.n_fixed - 1, width), (self.n_rows, self.n_fixed + 1)
-        )
         columns = [self.list_columns(block)[block.factor.index] for block in self.blocks]
+        last = np.arange(width - ends.shape[1], width)
+        places = np.hstack([*columns, np.broadcast_to(last, ends.shape)])
         values = [block.factor.columns / block.scale for block in self.blocks]
-        entries = np.hstack([*values, *ends])
+        entries = np.hstack([*values, ends])
         starts = np.arange(self.n_rows + 1) * entries.shape[1]
-        places = np.hstack([*columns, last]).ravel()
-        rows = csr_array((entries.ravel(), places, starts), shape=(self.n_rows, width))
+        rows = csr_array((entries.ravel(), places.ravel(), starts), shape=(self.n_rows, width))
         products = (rows.T @ rows).tocsr()
         blocks = products[:tail, :tail].tocoo()
         inner = np.zeros((self.n_units, size, size))
         inner[blocks.row // size, blocks.row % size, blocks.col % size] = blocks.data
         border = products[:tail, tail:].toarray().reshape(self.n_units, size, -1)
-        _, index, self.kind = np.unique(kinds, return_index=True, return_inverse=True)
+        self.outer, self.seen = products[tail:, tail:].toarray(), border[:, :, -1].copy()
+        # Units are alike whose rows are, but for y and for the names of what is their own.
+        relative = places - size * unit.index[:, None] * (places < tail)
+        keys = np.hstack([self.design.fixed, *values, relative]) + 0.0  # no -0, whose bytes differ
+        keys, known = keys[np.lexsort([*keys.T, unit.index])], dict[bytes, int]()
+        each = np.split(keys, np.cumsum(np.bincount(unit.index))[:-1])
+        self.kind = np.array([known.setdefault(one.tobytes(), len(known)) for one in each])
         self.counts = np.bincount(self.kind).astype(np.float64)
-        self.inner, self.border, self.seen = inner[index], border[index, :, :-1], border[:, :, -1]
-        alike = [self.seen[self.kind == number] for number in range(len(index))]
-        self.sums = np.stack([one.sum(axis=0) for one in alike])
-        self.squares = np.stack([one.T @ one for one in alike])
-        self.outer = products[tail:, tail:].toarray()
+        first = np.unique(self.kind, return_index=True)[1]
+        roots = np.sqrt(self.counts)[:, None]
+        self.inner, self.border = inner[first], border[first] * roots[:, None]
+        # With the mean of their y in the border, what is left of it is the scatter of those alike.
+        groups = [self.seen[self.kind == number] for number in range(len(first))]
+        self.border[:, :, -1] = np.stack([one.mean(axis=0) for one in groups]) * roots
+        around = [one - one.mean(axis=0) for one in groups]
+        self.scatter = np.stack([one.T @ one for one in around])
 
     def evaluate(self, theta: Samples) -> State:
         """Factorise the equations at theta, (n_theta,)."""
@@ -310,16 +252,9 @@ class Profile:
         roots = np.linalg.cholesky(blocks).diagonal(axis1=1, axis2=2)
         inner = np.linalg.inv(blocks).astype(np.float64, copy=False)
         kept = self.own.around(inner, theta, turned=True)
-        ratio, width = self.ratio(theta), self.shared.size - 1
-        left = self.outer / ratio
-        if self.each is None:
-            through = (kept @ self.border).reshape(-1, width)
-            weighted = (self.counts[:, None, None] * self.border).reshape(-1, width)
-            left[:-1, :-1] -= weighted.T @ through
-            cross = self.sums.ravel() @ through
-            left[-1, :-1] -= cross
-            left[:-1, -1] -= cross
-        left[-1, -1] += self.scatter - float((kept * self.squares).sum())
+        flat = self.border.reshape(-1, self.shared.size)
+        left = self.outer - flat.T @ (kept @ self.border).reshape(-1, self.shared.size)
+        left[-1, -1] -= float((kept * self.scatter).sum())
         scaled = self.shared.around(left, theta)
         diagonal = np.arange(self.n_random)
         scaled[diagonal, diagonal] += 1
@@ -327,11 +262,11 @@ class Profile:
         if failed:
             raise np.linalg.LinAlgError("the residual is lost in rounding")
         logs = 2 * np.log(factor.diagonal())
-        own = 2 * float(self.counts @ np.log(roots).sum(axis=1)) + self.n_each * np.log(ratio)
+        own = 2 * float(self.counts @ np.log(roots).sum(axis=1))
         return State(
             theta=theta, log_random=own + float(logs[: self.n_random].sum()),
             log_fixed=float(logs[self.n_random : -1].sum()) + self.log_x,
-            rss=float(factor[-1, -1] ** 2) * self.unit**2, factor=factor, left=left, inner=inner, kept=kept,
+            rss=float(factor[-1, -1] ** 2) * self.scale**2, factor=factor, left=left, inner=inner, kept=kept,
         )  # fmt: skip
 
     def deviance(self, state: State) -> float:
@@ -362,23 +297,12 @@ class Profile:
         adjoint += last[:, None] * last
         # What each parameter moves: half the derivative of tr(adjoint L' M L).
         moved = self.shared.times(state.left, theta)
-        along = np.einsum("ij,ij->i", moved[self.shared.rows], adjoint[self.shared.columns])
-        slope = np.bincount(self.shared.places, along, n_theta).astype(np.float64, copy=False)
-        counts, seen = self.counts[:, None, None], adjoint[-1, -1] * self.squares
+        slope = self.shared.gather(moved[None], adjoint[None], n_theta)
         outside = self.shared.around(adjoint, theta, turned=True)
-        if self.each:
-            # Of a mean row's variance: it divides the products, and stands in the determinant once per row.
-            ratio = self.ratio(theta)
-            wider = (self.n_each - float((outside * self.outer).sum()) / ratio) / ratio
-            slope[self.each.theta] += wider * self.n_units * theta[self.each.theta]
-        else:
-            mixed = (self.border @ outside[:-1, -1])[:, :, None] * self.sums[:, None, :]
-            seen = seen + counts * (self.border @ outside[:-1, :-1] @ self.border.swapaxes(1, 2))
-            seen += mixed + mixed.swapaxes(1, 2)
-        change = counts * self.inner - seen + self.inner @ state.kept @ seen
-        inside = (self.own.times(change, theta) @ state.inner).sum(axis=0)
-        inside = inside[self.own.rows, self.own.columns]
-        return 2 * (slope + np.bincount(self.own.places, inside, n_theta))
+        seen = self.border @ outside @ self.border.swapaxes(1, 2) + outside[-1, -1] * self.scatter
+        change = self.counts[:, None, None] * self.inner - seen + self.inner @ state.kept @ seen
+        inside = self.own.times(change, theta)
+        return 2 * (slope + self.own.gather(inside, state.inner, n_theta))
 
     def differentiate(self, state: State) -> tuple[Samples, Samples]:
         """Differentiate the penalised deviance f(theta, log s) twice, in units of the spreads; and X'V⁻¹X's inverse.
@@ -386,7 +310,7 @@ class Profile:
         (n_theta + 1, n_theta + 1) and (n_theta + 1, n_fixed, n_fixed). Derivatives along theta are central differences
         of the exact slope. A penalty of -2 log theta adds 2 / theta².
         """
-        sigma, size = find_sigma(self, state), len(state.theta)
+        sigma, size = self.find_sigma(state), len(state.theta)
         unit = np.maximum(np.abs(state.theta), 1)
         hessian = np.zeros((size + 1, size + 1))
         slopes = np.empty((size + 1, self.n_fixed, self.n_fixed))
@@ -396,33 +320,55 @@ class Profile:
             hessian[place, :size] = rise * unit / (2 * STEP)
             more = -(ends[0].rss - ends[1].rss) / STEP / sigma**2
             hessian[place, size] = hessian[size, place] = more
-            wider = np.subtract(*(find_coefficients(self, end)[1] for end in ends))
+            wider = np.subtract(*(self.find_coefficients(end)[1] for end in ends))
             slopes[place] = wider * sigma**2 / (2 * STEP)
         held = np.flatnonzero(self.penalised)
         hessian[held, held] += 2 * (unit[held] / state.theta[held]) ** 2
         hessian[size, size] = 4 * self.weight
-        slopes[size] = 2 * find_coefficients(self, state)[1] * sigma**2
+        slopes[size] = 2 * self.find_coefficients(state)[1] * sigma**2
         return (hessian + hessian.T) / 2, slopes
 
+    def find_sigma(self, state: State) -> float:
+        """Residual standard deviation."""
+        return float(np.sqrt(state.rss / self.weight))
 
-def _find_residual(blocks: Sequence[Block], rows: Codes) -> Block | None:
-    """Find the factor of which every row of a unit has a level of its own, with the same weight."""
-    for block in blocks:
-        factor, columns = block.factor, block.factor.columns[rows]
-        alone = len(np.unique(factor.index[rows])) == len(rows) == factor.n_levels
-        if alone and factor.width == 1 and (columns == columns[0]).all():
-            return block
-    return None
+    def find_coefficients(self, state: State) -> tuple[Samples, Samples]:
+        """Solve for the fixed effects, (n_fixed,), and their covariance in units of s²."""
+        from scipy.linalg import solve_triangular
+
+        place = slice(self.n_random, -1)
+        corner, last = state.factor[place, place], state.factor[-1, place]
+        half = solve_triangular(corner, np.eye(self.n_fixed), lower=True).T
+        inverse = solve_triangular(self.triangle_x, half)
+        shift = solve_triangular(self.triangle_x, self.offset)
+        return shift + inverse @ last * self.scale, inverse @ inverse.T
+
+    def find_modes(self, state: State) -> list[Samples]:
+        """Predict the random effects of every factor, (n_levels, width), in the order of the formula."""
+        from scipy.linalg import solve_triangular
+
+        factor = state.factor
+        solved = solve_triangular(factor[:-1, :-1], factor[-1, :-1], lower=True, trans="T")
+        shared = self.shared.times(np.append(solved, 0.0), state.theta, turned=True)[:-1]
+        border = self.border[:, :, :-1] / np.sqrt(self.counts)[:, None, None]
+        left = self.seen - (border @ shared)[self.kind]
+        own = np.einsum("uij,uj->ui", state.kept[self.kind], left)
+        effects = np.concatenate([own.ravel(), shared]) * self.scale
+        return [effects[self.list_columns(block)] / block.scale for block in self.blocks]
+
+    def find_spreads(self, state: State) -> list[Samples]:
+        """Covariances of the random effects, (width, width), in units of s², in the order of the formula."""
+        lowers = [block.triangle(state.theta) / block.scale[:, None] for block in self.blocks]
+        return [lower @ lower.T for lower in lowers]
 
 
 def _find_penalised(blocks: Sequence[Block], names: Sequence[str]) -> NDArray[np.bool_]:
     """Mark the parameters, (n_theta,), whose logarithm is penalised: the spreads of the factors named."""
     known = {one.factor.name for one in blocks if (one.rows == one.columns).all()}
     if not set(names) <= known:
-        raise ValueError(
-            f"penalty must name groups of the formula with uncorrelated effects ({', '.join(sorted(known))}), got "
-            f"{', '.join(names)}; write (1 + x || g)"
-        )
+        must = f"groups of the formula with uncorrelated effects ({', '.join(sorted(known))})"
+        got = f"got {', '.join(names)}; write (1 + x || g)"
+        raise ValueError(f"penalty must name {must}, {got}")
     return np.concatenate([
         np.full(len(block.rows), block.factor.name in names) for block in blocks
     ])
@@ -435,55 +381,14 @@ def _choose_unit(factors: Sequence[Factor]) -> Factor:
         own = shared = 0.0
         for factor in factors:
             _, place = nest(factor, unit)
+            width = sum(len(term.names) for term in factor.terms)
             if place is None:
-                shared += factor.n_levels * factor.width
+                shared += factor.n_levels * width
             else:
-                own += (int(place.max()) + 1) * factor.width
+                own += (int(place.max()) + 1) * width
         return unit.n_levels * own**2 * (own + shared) + shared**3
 
     return min(factors, key=find_cost)
-
-
-def find_sigma(profile: Profile, state: State) -> float:
-    """Residual standard deviation."""
-    return float(np.sqrt(state.rss / profile.weight))
-
-
-def find_coefficients(profile: Profile, state: State) -> tuple[Samples, Samples]:
-    """Solve for the fixed effects, (n_fixed,), and their covariance in units of s²."""
-    from scipy.linalg import solve_triangular
-
-    place = slice(profile.n_random, -1)
-    corner, last = state.factor[place, place], state.factor[-1, place]
-    inverse = solve_triangular(
-        profile.triangle_x, solve_triangular(corner, np.eye(profile.n_fixed), lower=True).T
-    )
-    shift = solve_triangular(profile.triangle_x, profile.offset)
-    return shift + inverse @ last * profile.unit, inverse @ inverse.T
-
-
-def find_modes(profile: Profile, theta: Samples) -> list[Samples]:
-    """Predict the random effects of every factor, (n_levels, width), in the order of the formula."""
-    from scipy.linalg import solve_triangular
-
-    if profile.each:  # which has no place for the effects of single units
-        profile = Profile(profile.design, reml=profile.reml, penalty=profile.penalty, whole=True)
-    state = profile.evaluate(theta)
-    solved = solve_triangular(state.factor[:-1, :-1], state.factor[-1, :-1], lower=True, trans="T")
-    shared = profile.shared.times(np.append(solved, 0.0), theta, turned=True)[:-1]
-    left = profile.seen - profile.border[profile.kind] @ shared
-    own = np.einsum("uij,uj->ui", state.kept[profile.kind], left)
-    effects = np.concatenate([own.ravel(), shared])
-    return [
-        effects[profile.list_columns(block)] * profile.unit / block.scale
-        for block in profile.blocks
-    ]
-
-
-def find_spreads(profile: Profile, state: State) -> list[Samples]:
-    """Covariances of the random effects, (width, width), in units of s², in the order of the formula."""
-    lowers = [block.triangle(state.theta) / block.scale[:, None] for block in profile.blocks]
-    return [lower @ lower.T for lower in lowers]
 
 
 @contextmanager
@@ -501,25 +406,28 @@ def hold_threads(size: int) -> Iterator[None]:
         HELD.release()
 
 
-def find_optimum(profile: Profile, *, start: Samples | None = None) -> State:
-    """Minimise the deviance over theta; start: where a fit to nearly the same data ended.
+def find_optimum(profile: Profile) -> State:
+    """Minimise the deviance over theta.
 
-    Notes
-    -----
     L-BFGS from theta = 1 (off the diagonal 0), without bounds because the deviance does not change with a
     spread's sign. For the same reason 0 is always stationary; at every spread of 0 the deviance is therefore
     probed at a small positive value, which shows the sign of its derivative in theta², and the search resumed
     where that is lower. The penalty, -2 log (theta s), goes to infinity at 0.
     """
-    begin = profile.diagonal.astype(np.float64)
-    if start is not None:
-        begin = np.where(profile.diagonal, np.maximum(start, NEAR), start)
-    best = _descend(profile, begin)
+    best = _descend(profile, profile.diagonal.astype(np.float64))
     for _ in range(ATTEMPTS):
-        resumed = _leave_boundary(profile, best)
-        if resumed is None:
-            break
-        best = resumed
+        here, theta = profile.target(best), best.theta
+        for place in np.flatnonzero(profile.diagonal & (theta == 0)):
+            beside = np.arange(len(theta)) == place
+            probe = profile.evaluate(np.where(beside, PROBE, theta))
+            if profile.target(probe) < here - 1e-9:
+                better = _descend(profile, np.where(beside, RESTART, theta))
+                break
+        else:
+            return best
+        if profile.target(better) >= here:
+            return best
+        best = better
     return best
 
 
@@ -542,10 +450,9 @@ def _descend(profile: Profile, start: Samples) -> State:
     except np.linalg.LinAlgError:
         found = np.full(len(start), np.inf)
     if not np.abs(found).max() <= LARGEST:
-        raise ValueError(
-            "data must have scatter within groups, got a response that the random effects give exactly, without "
-            "residual; leave the finest group out of the formula"
-        )
+        got = "got a response that the random effects give exactly, without residual"
+        do = "leave the finest group out of the formula"
+        raise ValueError(f"data must have scatter within groups, {got}; {do}")
     settled = np.empty_like(found)
     for block in profile.blocks:
         lower = block.triangle(found)
@@ -554,19 +461,6 @@ def _descend(profile: Profile, start: Samples) -> State:
         settled[block.theta] = lower[block.rows, block.columns]
     settled[profile.diagonal & (settled < ZERO) & ~held] = 0.0
     return profile.evaluate(settled)
-
-
-def _leave_boundary(profile: Profile, state: State) -> State | None:
-    """Find a better minimum where a spread of 0 is above 0, or None."""
-    here = profile.target(state)
-    for place in np.flatnonzero(profile.diagonal & (state.theta == 0)):
-        probe = state.theta.copy()
-        probe[place] = PROBE
-        if profile.target(profile.evaluate(probe)) < here - 1e-9:
-            probe[place] = RESTART
-            better = _descend(profile, probe)
-            return better if profile.target(better) < here else None
-    return None
 
 
 def polish(profile: Profile, state: State, hessian: Samples) -> State:

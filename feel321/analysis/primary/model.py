@@ -88,13 +88,11 @@ class Slopes(NamedTuple):
     solved: Solved
 
 
-def fit_slopes(
-    cells: Cells, *, correlated: bool = False, reducers: bool = True, start: Solved | None = None
-) -> Slopes:
-    """Fit the primary model for its slopes alone, in a fifth of the time; start: of nearly the same cells."""
+def fit_slopes(cells: Cells, *, correlated: bool = False, reducers: bool = True) -> Slopes:
+    """Fit the primary model for its slopes alone, in a fifth of the time."""
     terms = plan_terms(cells, correlated=correlated, reducers=reducers)
     design = build_design(terms.formula, cells.table)
-    solved = solve_design(design, penalty=terms.penalty, most_df=terms.most_df, start=start)
+    solved = solve_design(design, penalty=terms.penalty, most_df=terms.most_df)
     return Slopes(_tabulate_slopes(cells, terms, solved), cells, terms, solved)
 
 

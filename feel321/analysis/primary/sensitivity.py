@@ -37,7 +37,6 @@ from feel321.analysis.table.schema import HIGHEST
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.mixed.model import Solved
     from feel321.types import Samples
 
 
@@ -106,12 +105,10 @@ class Variant(NamedTuple):
     left: str = ""
     note: str = ""
 
-    def fit(self, metrics: Sequence[str], start: Solved | None = None) -> Fitted:
-        """Fit the slopes; NaN and the reason where the rows carry no model; start: a fit to nearly the same cells."""
+    def fit(self, metrics: Sequence[str]) -> Fitted:
+        """Fit the slopes; NaN and the reason where the rows carry no model."""
         try:
-            found = fit_slopes(
-                self.make(), correlated=self.correlated, reducers=self.reducers, start=start
-            )
+            found = fit_slopes(self.make(), correlated=self.correlated, reducers=self.reducers)
         except ValueError as error:
             index = pd.Index(metrics, name="metric")
             empty = pd.DataFrame(np.nan, index=index, columns=[*COLUMNS, *TENTHS])
@@ -288,10 +285,9 @@ def measure_influence(
             what = "sources" if cells.shared else "recordings"
             notes.append(f"{what.capitalize()} were not left out in turn: more than {MOST_UNITS}.")
         candidates = (_leave_out(cells, ITEM, name) for name in find_candidates(cells))
-        before, solved = _conclude(whole.slopes, others), None
+        before = _conclude(whole.slopes, others)
         for variant in (*leave_out_units(cells), *candidates):
-            fitted = variant.fit(metrics, solved)
-            solved = fitted.slopes.solved if fitted.slopes else solved
+            fitted = variant.fit(metrics)
             table = _compare(fitted, whole, before=before, others=others)
             found.append(table.assign(kind=variant.kind, unit=variant.left))
             if variant.kind == REDUCER and fitted.slopes:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations, product
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from feel321.analysis.words import format_method, format_span
 if TYPE_CHECKING:
     from feel321.analysis.association.correlate import Panel
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Items, Table
+    from feel321.analysis.table.items import Table
     from feel321.records import Statistic
 
 LEADING, RANKED, DRAWN = "pearson", "spearman", "within"
@@ -165,71 +165,3 @@ def compute_further(table: Table, choices: Choices) -> Found:
         known = describe_explored(table.metrics)
         found.facts["meanings"] = {name: known[name] for name in table.further}
     return found
-
-
-# ITU-T P.1401 and the classic tests of correlations, for comparison with the literature: tables only.
-
-Judged = dict[tuple[str, int, str], "Statistic"]
-"""By metric, order and mapping."""
-
-
-def compute_standard(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
-    """Compute what other studies print."""
-    from feel321.analysis.standard import compare_p1401, repeated_measures_correlation
-
-    found, names = Found(key="standard"), ("metric", "order", "mapping")
-    for part in split_tests(table):
-        items = make_items(part.rows, [*table.metrics, *table.further])
-        judged = _judge(found, part, table=table, items=items)
-        for key, one in judged.items():
-            powers = {f"coefficient_{power}": value for power, value in enumerate(one.coefficients)}
-            own = dict(zip(names, key, strict=True))
-            found.add("p1401", [{**one, **powers}], **own, **part.keys)
-        for first, other in combinations((key for key in judged if key[0] in table.metrics), 2):
-            if first[1:] == other[1:]:
-                own = {**dict(zip(names, first, strict=True)), "second_metric": other[0]}
-                compared = compare_p1401(judged[first], judged[other])
-                found.add("p1401_differences", [compared], **own, **part.keys)
-        _compare_classically(found, part, items, metrics=table.metrics)
-        for name in table.metrics:
-            columns = [part.rows[key].to_numpy() for key in (name, "rating", "participant")]
-            lead = f"{part.lead}, repeated-measures correlation with {name}:"
-            repeated = found.attempt(lead, repeated_measures_correlation, *columns)
-            found.add("repeated", [repeated] if repeated else [], metric=name, **part.keys)
-    found.facts["any"] = any(found.rows.values())
-    return found
-
-
-def _judge(found: Found, part: Part, *, table: Table, items: Items) -> Judged:
-    """Judge every metric by ITU-T P.1401, mapped by these stimuli and by those of other sources."""
-    from feel321.analysis.standard import p1401
-
-    judged: Judged = {}
-    names = enumerate((*table.metrics, *table.further))
-    for (place, name), order, mapping in product(names, (1, 3), ("fitted", "held out")):
-        groups = items.of_source[items.recordings] if mapping == "held out" else None
-        higher = table.info[name].higher if name in table.info else None
-        lead, values = f"{part.lead}, P.1401 of {name}: left out.", items.metrics[place]
-        options: Row = {"order": order, "groups": groups, "higher": higher}
-        one = found.attempt(lead, p1401, items.ratings.T, values, **options)
-        if one is not None:
-            judged[name, order, mapping] = one
-    return judged
-
-
-def _compare_classically(found: Found, part: Part, items: Items, *, metrics: Sequence[str]) -> None:
-    """Compare the correlations with two metrics by the tests of Williams, Steiger, Meng and Zou."""
-    from feel321.analysis.standard import compare_dependent
-
-    means = np.nanmean(items.ratings, axis=0)
-    for (i, one), (j, other) in combinations(enumerate(metrics), 2):
-        columns = np.array([means, items.metrics[i], items.metrics[j]])
-        if (np.ptp(columns, axis=1) == 0).any():
-            continue
-        r = np.corrcoef(columns)
-        lead = f"{part.lead}, dependent correlations of {one} and {other}:"
-        compared = found.attempt(lead, compare_dependent, r[0, 1], r[0, 2], r[1, 2], len(means))
-        if compared is not None:
-            own: Row = {"metric": one, "second_metric": other, "n": len(means)}
-            record = {**compared, "difference": r[0, 1] - r[0, 2]}
-            found.add("dependent", [record], **own, **part.keys)

@@ -65,8 +65,7 @@ def _predict(found: Found, part: Part, table: Table, **_: object) -> Sequence[st
     """Count how many choices each metric predicts."""
     from feel321.analysis.choices import gather_votes, predict
 
-    metrics = list(dict.fromkeys([*table.metrics, *table.rivals]))
-    one = predict(gather_votes(table, metrics=metrics))
+    one = predict(gather_votes(table, metrics=table.metrics))
     keys: Row = {**part.keys, "n": one.n_votes}
     shares = one.to_frame()
     found.add("choices_predicted", shares.assign(n_choices=one.n_votes), **keys)

@@ -1,4 +1,4 @@
-"""Sections on slopes within recordings: the primary model, all metrics ranked, and the model under other choices."""
+"""Sections on slopes within recordings: the primary model, and the model under other choices."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary import sensitivity
 from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, fit_slopes, tabulate_slopes
@@ -16,10 +14,10 @@ from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, make_cells
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
-from feel321.analysis.table.items import Part, format_recordings, split_tests
+from feel321.analysis.table.items import Part, split_tests
 from feel321.analysis.table.metrics import ROTATIONS
-from feel321.analysis.table.schema import AMPLITUDE, STAND_INS
-from feel321.analysis.words import INTERVALS, format_count, format_name
+from feel321.analysis.table.schema import STAND_INS
+from feel321.analysis.words import INTERVALS, format_count
 
 if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
@@ -321,65 +319,6 @@ def _compare_slopes(model: Primary, findings: Sequence[Row]) -> Iterator[Row]:
             "unsteady": [one["metric"] for one in pair if one["hinges"]],
             "better": better if settled else "", "worse": others[0],
         }  # fmt: skip
-
-
-# All metrics, the best first: out of fold and corrected for how many were tried.
-
-STRENGTH = "level_as_played"
-
-
-def compute_rivals(table: Table, choices: Choices) -> Found:
-    """Rank all metrics on every scale and level, where a comparison was asked for."""
-    found, told = Found(key="rivals"), list[Row]()
-    found.facts["parts"] = told
-    if not table.rivals:
-        return found
-    from feel321.analysis.association import rivals
-
-    for part in split_tests(table):
-        rows, names = part.rows, list(table.rivals)
-        # Where no metric of the set is about level alone, the level as played is.
-        known = AMPLITUDE in rows and (rows[AMPLITUDE] > 0).all()
-        if not set(rivals.BASELINES) & set(names) and known:
-            rows = rows.assign(**{STRENGTH: 20 * np.log10(rows[AMPLITUDE])})
-            names.append(STRENGTH)
-        rng = choices.make_rng("rivals", *part.place)
-        try:
-            one = rivals.rank_metrics(rows, names, rng=rng, info=table.info)
-        except ValueError as error:  # it was asked for, so the answer says why there is none
-            told.append({"subject": part.subject, "why": str(error)})
-            continue
-        row, frame = one.to_frame().to_dict("records")[0], one.to_frame()
-        shown = frame[(frame["p"] < rivals.LEVEL) & (frame["value"] > 0)]["metric"]
-        if 0 < one.n_reducers < rivals.FEWEST_REDUCERS:
-            verdict = "few_reducers"
-        elif one.baseline and not one.better:
-            verdict = "not_above_level"
-        elif not one.baseline and not len(shown):
-            verdict = "none"
-        else:
-            verdict = "alone" if one.alone else "unresolved"
-        told.append({
-            "subject": part.subject, "why": "", "verdict": verdict, "ratings": part.ratings, "best": one.best,
-            "baseline": one.baseline, "better": list(one.better if one.baseline else shown), "n_metrics": len(frame),
-            "n_candidates": len(one.candidates), "n_reducers": one.n_reducers, "needed": rivals.FEWEST_REDUCERS,
-            "r": {"value": row["value"], "low": row["low"], "high": row["high"]}, "ceiling": one.ceiling,
-            "picked": one.honest_value,
-        })  # fmt: skip
-        found.notes += [f"{part.lead}, metrics ranked: {note}" for note in one.notes]
-        keys: Row = {**part.keys, "n": one.n_items}
-        kept = frame if one.baseline else frame.drop(columns="over_baseline", errors="ignore")
-        found.add("rivals", kept, **keys)
-        found.add("rivals_picked", [{**one, "n_metrics": len(frame)}], **keys)
-        frame = frame.rename(columns={"may_be_best": "filled"})
-        frame["name"] = frame["metric"].map(format_name)
-        level = one.table["value"].to_dict().get(one.baseline, np.nan)
-        scenes = format_recordings(one.n_recordings, one.n_sources)
-        title = f"{len(frame)} metrics, {one.n_participants} participants, {scenes}, {one.n_items} stimuli."
-        options: Row = {"lines": {"-": 0.0, "--": one.ceiling, ":": level}, "title": title}
-        slug, says = parts.make_slug("rivals", *part.place), {"ratings": part.ratings}
-        found.draw("ranking", slug, frame, says=says, detail=bool(found.pictures), **options)
-    return found
 
 
 # The primary slopes under other choices.

@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from feel321.analysis.consistency import rater_model
 from feel321.analysis.primary.model import adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, list_changes
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
-from feel321.analysis.screening.consistency import rater_model
-from feel321.analysis.screening.rules import RULES
-from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.screening import RULES, screen_raters
 from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import format_name

@@ -21,7 +21,7 @@ from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_fil
 from feel321.analysis.report.section import FIXED, Found, Row, Section, make_row
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
-from feel321.analysis.screening.rules import RULES
+from feel321.analysis.screening import RULES
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
@@ -52,7 +52,6 @@ QUESTIONS: Mapping[str, str] = {
 PLACE = "feel321.analysis.report"
 SECTIONS = (
     Section("primary", "Change in rating with each metric, within recordings", "predict", f"{PLACE}.primary:compute"),
-    Section("rivals", "Which metric predicts best?", "predict", f"{PLACE}.primary:compute_rivals"),
     Section("metrics", "Correlations of mean ratings with metrics", "predict", f"{PLACE}.correlations:compute"),
     Section("further", "Further metrics, explored", "predict", f"{PLACE}.correlations:compute_further", front=False),
     Section("levels", "Level arms compared", "differ", f"{PLACE}.reducers:compute_levels"),
@@ -66,8 +65,6 @@ SECTIONS = (
     Section("delivered", "Delivered vibration", "trust", f"{PLACE}.raters:compute_delivered"),
     Section("raters", "Raters", "trust", f"{PLACE}.raters:compute"),
     Section("robustness", "Robustness to other choices", "hinge", f"{PLACE}.primary:compute_robustness"),
-    Section("standard", "For comparison with the literature", "computed", f"{PLACE}.correlations:compute_standard",
-            front=False),
 )  # fmt: skip
 """The one list of a report's sections, by question."""
 
@@ -399,7 +396,7 @@ def _gather_notes(table: Table, found: Iterable[Found]) -> Iterator[str]:
     """List what was left out or assumed: names in words, and what several ratings share said once."""
     rows = table.rows
     scales, levels = rows["scale"].unique(), rows["level"].unique()
-    names = [*scales, RECAST, *levels, *table.metrics, *table.further, *table.rivals, *RULES]
+    names = [*scales, RECAST, *levels, *table.metrics, *table.further, *RULES]
     arms = sorted({f"{scale}, {level}" for scale in scales for level in levels})
     told: dict[str, list[str]] = {}
     for note in dict.fromkeys(chain(table.notes, *(one.notes for one in found))):

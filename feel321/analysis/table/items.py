@@ -54,9 +54,6 @@ class Table(Result):
         What was left out and what was assumed, one sentence each.
     further : tuple of str
         Columns of metrics that are explored only.
-    rivals : tuple of str
-        Columns of metrics that are compared with each other, those of the primary analysis among them; empty where
-        no comparison was asked for.
     info : Mapping of str to MetricInfo
         What each metric declares of itself: which way it points, its bounds, label and unit.
     stimuli : DataFrame, indexed by stimulus_id, optional
@@ -83,7 +80,6 @@ class Table(Result):
     metrics: tuple[str, ...]
     notes: tuple[str, ...]
     further: tuple[str, ...] = ()
-    rivals: tuple[str, ...] = ()
     info: Mapping[str, MetricInfo] = field(default_factory=dict)
     stimuli: DataFrame | None = None
 
@@ -407,8 +403,7 @@ class Items:
 
     ratings: (n_participants, n_items), NaN where there is none; metrics: (n_metrics, n_items); recordings: (n_items,),
     number of the recording that each item was made from, from 0; sources: (n_recordings,), number of the source of each
-    recording, from 0; reducers: (n_items,), number of the reducer, None where none made stimuli of several recordings:
-    nothing is then known of what stimuli of one reducer share.
+    recording, from 0.
     """
 
     names: tuple[str, ...]
@@ -417,7 +412,6 @@ class Items:
     recordings: NDArray[np.intp]
     sources: NDArray[np.intp] | None = None
     notes: tuple[str, ...] = ()
-    reducers: NDArray[np.intp] | None = None
 
     @property
     def n_participants(self) -> int:
@@ -443,11 +437,6 @@ class Items:
     def n_sources(self) -> int:
         """Number of sources: what is independent of each other among recordings."""
         return int(self.of_source.max()) + 1
-
-    @property
-    def n_reducers(self) -> int:
-        """Number of reducers, 0 where they are not known or none made stimuli of several recordings."""
-        return 0 if self.reducers is None else int(self.reducers.max()) + 1
 
     @property
     def n_missing(self) -> int:
@@ -478,13 +467,8 @@ def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
     means = Series(rating[order]).groupby(item * len(cells) + person).mean()
     cells[means.index % len(cells), means.index // len(cells)] = means
     recordings = np.unique(facts["recording"], return_inverse=True)[1]
-    sources = reducers = None
+    sources = None
     if "source" in rows:
         sources = factorize(find_sources(rows).to_numpy(), sort=True)[0]
-    if "reducer" in rows and not rows["reducer"].isna().any():
-        of_row = factorize(rows["reducer"], sort=True)[0][order]
-        numbers = np.asarray(of_row[first], dtype=np.intp)
-        crossed = recordings.max() > 0 and len(np.unique(numbers)) < len(numbers)
-        reducers = numbers if crossed and (of_row == numbers[item]).all() else None
     values = np.array([facts[name] for name in metrics])
-    return Items(tuple(map(str, names)), cells, values, recordings, sources, notes, reducers)
+    return Items(tuple(map(str, names)), cells, values, recordings, sources, notes)

@@ -88,16 +88,6 @@ def list_numeric(cells: DataFrame) -> list[str]:
 UNUSED = {name for name, column in schema.MANIFEST.items() if not column.used}
 
 
-def list_rivals(manifest: Path | DataFrame) -> list[str]:
-    """List the columns of a manifest that may be compared as metrics: numeric, and no fact about the file or gain."""
-    derived, kinds = describe_further(), tuple(f"_{kind}" for kind in KINDS)
-    return [
-        name
-        for name in list_numeric(schema.read_cells(manifest))
-        if name not in UNUSED | {*schema.FACTS} and not (name.endswith(kinds) and name in derived)
-    ]
-
-
 def read_attributes(manifest: Path | DataFrame) -> DataFrame:
     """Read every numeric column of a manifest that may say what stimuli are like, by stimulus_id."""
     import pandas as pd

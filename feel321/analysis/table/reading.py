@@ -71,13 +71,11 @@ FOREIGN = "a stimulus of another recording"
 class Further:
     """Further metrics that neither file holds, indexed by stimulus_id, and how they were computed.
 
-    rivals: metrics, columns of these or of the manifest, that are to be compared with those of the primary analysis.
     mountings: recording, reducer and metric with mean and quantiles over orientations of the sensor, if computed.
     """
 
     metrics: DataFrame
     notes: tuple[str, ...] = ()
-    rivals: tuple[str, ...] = ()
     mountings: DataFrame | None = None
 
 
@@ -141,8 +139,8 @@ def read_table(
     judged, listed = _open_source(ratings, "ratings"), _open_source(manifest, "manifest")
     given = further or Further(DataFrame())
     stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources or {}, given=given)
-    names = dict.fromkeys([*planned, *given.rivals, *metrics_of.describe_explored(())])
-    held = [name for name in names if name in stimuli or name in {*planned, *given.rivals}]
+    names = dict.fromkeys([*planned, *metrics_of.describe_explored(())])
+    held = [name for name in names if name in stimuli or name in planned]
     known, stated = metrics_of.gather_info(held, info, listed.given)
     notes += metrics_of.refuse_unbounded(stimuli, listed.what, info=known, stated=stated)
     stimuli = stimuli.set_index(STIMULUS)
@@ -153,9 +151,9 @@ def read_table(
     rows, told = _join_stimuli(rows, stimuli, judged.what)
     notes += [*remarks.note_gaps(rows, stimuli, planned), *told]
     notes += [*remarks.note_sources(rows), *remarks.note_lookalikes(rows)]
-    explored, compared = _choose_further(rows, planned, given=given, notes=notes)
-    columns = dict.fromkeys([*planned, *explored, *compared])
-    optional = [name for name in OPTIONAL if name in rows and name not in planned]
+    explored = _choose_further(rows, planned, given=given)
+    columns = [*planned, *explored]
+    optional = [name for name in OPTIONAL if name in rows and name not in columns]
     rows = rows[[
         "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
         "scale", "repeat", "rating", "simulated", *optional, *columns,
@@ -165,13 +163,13 @@ def read_table(
     if (rows["scale"] == schema.PAIRED).any():
         more = metrics_of.read_attributes(listed.given)
         sheet = sheet.join(more[[name for name in more if name not in sheet]])
-    return Table(rows, planned, (*notes, *more_notes), explored, compared, known, sheet)
+    return Table(rows, planned, (*notes, *more_notes), explored, known, sheet)
 
 
 def _choose_further(
-    rows: DataFrame, planned: tuple[str, ...], *, given: Further, notes: list[str]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Choose the metrics that are explored, and those that are compared: all test stimuli must have them."""
+    rows: DataFrame, planned: tuple[str, ...], *, given: Further
+) -> tuple[str, ...]:
+    """Choose the metrics that are explored: all test stimuli must have them, as they must the planned ones."""
     tests = rows[rows[ROLE] == TEST]
     for name in (name for name in planned if name in given.metrics):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
@@ -181,13 +179,7 @@ def _choose_further(
             do = "name another metric, or leave them out"
             raise ValueError(f"metrics: {got}; {do}. {' '.join(given.notes)}")
     known = [name for name in metrics_of.describe_explored(planned) if name in tests]
-    rivals = dict.fromkeys([*planned, *given.rivals] if given.rivals else ())
-    bare = [name for name in rivals if tests[name].isna().any()]
-    if bare:
-        why = "because some rated test stimuli have no value"
-        notes.append(f"Not compared, {why}: {', '.join(bare)}.")
-    explored = tuple(name for name in known if tests[name].notna().all())
-    return explored, tuple(name for name in rivals if name not in bare)
+    return tuple(name for name in known if tests[name].notna().all())
 
 
 def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
@@ -300,7 +292,7 @@ def _read_manifest(
 ) -> tuple[DataFrame, tuple[str, ...], list[str]]:
     """Read the manifest's columns that an analysis needs; also the planned metrics, and notes."""
     metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
-    columns = metrics_of.describe_manifest([*(metrics or schema.PLANNED), *given.rivals])
+    columns = metrics_of.describe_manifest(metrics or schema.PLANNED)
     sheet, notes = schema.read_sheet(*source, columns)
     planned, lacking = _choose_metrics(sheet, metrics, source, more=list(map(str, given.metrics)))
     notes += lacking
@@ -315,14 +307,14 @@ def _read_manifest(
     schema.refuse_lines(strange, what, must=f"be one of {', '.join(schema.ROLES)}")
     schema.refuse_doubled(sheet, STIMULUS, what)
     wanted = {*planned, *metrics_of.describe_further()}
-    for name in dict.fromkeys([*planned, *given.rivals, *metrics_of.describe_explored(planned)]):
+    for name in [*planned, *metrics_of.describe_explored(planned)]:
         # The reference need not have a metric: it is what the others are matched against.
         if name in sheet and name in wanted:
             bare = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
             do = "correct it or leave the row out"
             schema.refuse_lines(bare, what, must="be a finite number", do=do)
         schema.read_column(sheet, name, what, kind="metric")
-    for name in set(schema.FACTS) - {*planned, *given.rivals}:
+    for name in set(schema.FACTS) - set(planned):
         schema.read_column(sheet, name, what, kind=columns[name].kind)
     if "source" in sheet:
         found = sheet["source"].mask(sheet["source"] == "", sheet["recording"])
@@ -456,8 +448,8 @@ def _join_further(
     """Give every stimulus the further metrics that there are."""
     from pandas import DataFrame
 
-    allowed = [*metrics_of.describe_further(), *given.rivals]
-    judged = [name for name in metrics_of.describe_further() if name in ratings]
+    allowed = [*metrics_of.describe_further()]
+    judged = [name for name in allowed if name in ratings]
     must = "further metrics must"
     for name in given.metrics:
         if name not in allowed:

@@ -45,10 +45,10 @@ ROUNDING = 1e-9
 """A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
 
 
-def find_reducer(recipe: Recipe, name: str, recording: str = "") -> Reducer:
-    """Find a reducer of a recipe, feel321's or the lab's own; recording: whose files are read, made elsewhere."""
+def find_reducer(recipe: Recipe, name: str) -> Reducer:
+    """Find a reducer of a recipe, feel321's or the lab's own."""
     method = _find_method(recipe, "reducer", name)
-    return OwnReducer(method, recording) if method else REDUCERS[name]
+    return OwnReducer(method) if method else REDUCERS[name]
 
 
 def find_metric(recipe: Recipe, name: str) -> Metric:
@@ -214,7 +214,7 @@ def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples
     if reducer == ORIGINAL:
         return recording.acceleration, scale.played
     if reducer not in ANCHORS:
-        reduce = find_reducer(recipe, reducer, recording.name)
+        reduce = find_reducer(recipe, reducer)
         samples = reduce(recording.acceleration, recording.rate_hz)
         return samples, _for_the_rig(samples, recording.rate_hz, recipe)
     # By names, not by samples: a seed from those would differ with the last digit of anything before it.

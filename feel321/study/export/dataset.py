@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import hmac
 import json
 import re
 import secrets
-from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 from feel321 import __version__, intake
 from feel321.analysis.table.dictionary import describe_column
@@ -34,13 +33,12 @@ from feel321.study.ratings import write_ratings
 from feel321.study.settings.read import list_origins, read_settings, read_study_texts
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
     from feel321.types import MetricInfo
-
-Row = dict[str, str]
 
 BIDS_VERSION = "1.11.0"
 MISSING = "n/a"
@@ -48,7 +46,12 @@ MISSING = "n/a"
 
 NO_METHODS = f"{METHODS_FILE}: left out, for no report is of these ratings; feel321 analyze, then export again"
 
-WITHHELD = ("participant", "number", "first_utc", "last_utc")
+NEEDS = (
+    "title", "description", "authors", "licence", "ethics", "institution", "funding", "released",
+)  # fmt: skip
+"""Of `[publication]`: what a reader of the data needs."""
+
+WITHHELD = ["participant", "number", "first_utc", "last_utc"]
 """Columns of `participants.csv` that tell who somebody is, or when they came."""
 
 FLAGS = {"rejected", "simulated", "training_passed"}
@@ -67,9 +70,6 @@ OWN = {
 KEY_FILE = ".export.key"
 """File in the study's folder: the key that draws the new numbers. It is never exported."""
 
-LABEL = re.compile(r"[0-9A-Za-z]+")
-"""What BIDS allows as the label of a participant."""
-
 
 def export_bids(
     study: StudyFolder, folder: Path, *, keep_ids: bool = False, simulated: bool = False
@@ -83,23 +83,29 @@ def export_bids(
         raise FileExistsError(f"{folder}: already holds something; name a new or empty folder")
     settings = read_settings(study.settings)
     write_ratings(study, read_stimuli(study.stimuli))
-    rated, _ = _read_table(study.ratings)
-    judgements = [row for row in rated if simulated or row["simulated"] == "false"]
-    if not judgements:
-        hint = "; simulated participants are exported with --simulated only" * bool(rated)
+    rated = _read_table(study.ratings)
+    judgements = rated if simulated else rated[rated["simulated"] == "false"]
+    if judgements.empty:
+        hint = "; simulated participants are exported with --simulated only" * (len(rated) > 0)
         raise ValueError(f"{study.path}: no ratings of real participants to export{hint}")
-    names = name_people(study, {row["participant"] for row in judgements}, keep_ids=keep_ids)
-    people, columns = _read_table(write_roster(study))
-    people = [row for row in people if row["participant"] in names]
+    names = _name_people(study, set(judgements["participant"]), keep_ids=keep_ids)
+    people = _read_table(write_roster(study))
+    people = people[people["participant"].isin([*names])]
     make_folder(folder.parent)
     with temporary_folder(beside=folder) as place:
         new = place / folder.name
         make_folder(new, private=True)
-        missing = [*settings.publication.list_missing(), *_write_methods(study, new)]
+        missing = [
+            f"publication.{name}: missing; write it into study.toml, [publication]"
+            for name in NEEDS
+            if not getattr(settings.publication, name)
+        ]
+        missing += _write_methods(study, new)
         _write_words(study, settings, people, folder=new)
-        _write_participants(people, columns, names, path=new / "participants")
+        _write_participants(people, names, path=new / "participants")
         _write_stimuli(study, settings, new / "stimuli")
-        _write_judgements(study, settings, judgements, names=names, folder=new)
+        judgements = judgements.assign(participant=judgements["participant"].map(names))
+        _write_judgements(study, settings, judgements, folder=new)
         if folder.exists():
             folder.rmdir()
         new.rename(folder)
@@ -107,10 +113,10 @@ def export_bids(
     return missing
 
 
-def name_people(study: StudyFolder, codes: Iterable[str], *, keep_ids: bool) -> dict[str, str]:
+def _name_people(study: StudyFolder, codes: Iterable[str], *, keep_ids: bool) -> dict[str, str]:
     """Give participants new numbers in an order that only the study's own key gives; or check their codes."""
     if keep_ids:
-        if odd := sorted(code for code in codes if not LABEL.fullmatch(code)):
+        if odd := sorted(code for code in codes if not re.fullmatch("[0-9A-Za-z]+", code)):
             raise ValueError(
                 f"--keep-ids: BIDS allows letters and digits in a participant's code, got {odd[0]!r}; export without it"
             )
@@ -124,21 +130,20 @@ def name_people(study: StudyFolder, codes: Iterable[str], *, keep_ids: bool) -> 
     return {code: f"sub-{number:0{width}}" for number, code in enumerate(drawn, start=1)}
 
 
-def number_names(values: Iterable[str], stem: str) -> dict[str, str]:
-    """Give numbers to names that tell where and when something was made; `uncalibrated` and nothing stay."""
+def _number(values: pd.Series, stem: str) -> pd.Series:
+    """Put numbers in the place of names that tell where and when something was made."""
     kept = {"": "", "uncalibrated": "uncalibrated"}
     found = sorted({*values} - {*kept})
-    return kept | {value: f"{stem}{number}" for number, value in enumerate(found, start=1)}
+    return values.map(kept | {name: f"{stem}{n}" for n, name in enumerate(found, start=1)})
 
 
 # Files.
 
 
-def _read_table(path: Path) -> tuple[list[Row], list[str]]:
-    """Read the rows of one of the study's own tables, and its columns."""
+def _read_table(path: Path) -> pd.DataFrame:
+    """Read one of the study's own tables, every cell as it is written."""
     with intake.open_text(path) as file:
-        reader = csv.DictReader(file)
-        return list(reader), list(reader.fieldnames or ())
+        return pd.read_csv(file, dtype=str, keep_default_na=False)
 
 
 def _write(path: Path, content: str) -> None:
@@ -152,23 +157,21 @@ def _write_json(path: Path, entry: Mapping[str, Any]) -> None:
     _write(path, f"{text}\n")
 
 
-def _write_tsv(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, str]]) -> None:
+def _write_tsv(path: Path, table: pd.DataFrame) -> None:
     """Write a table as BIDS has it: without quotes, `n/a` in an empty cell."""
-    lines = [columns, *([row.get(name) or MISSING for name in columns] for row in rows)]
-    for cell in (cell for line in lines for cell in line):
-        if any(one in cell for one in "\t\r\n\0"):
-            raise ValueError(
-                f"a cell of a TSV table must hold no tab and no line feed, got {cell[:60]!r}; rename it in the study"
-            )
-    _write(path, "".join("\t".join(line) + "\n" for line in lines))
+    cells = [*table.columns, *table.to_numpy().ravel()]
+    if odd := next((one for one in cells if re.search(r"[\t\r\n\0]", one)), None):
+        raise ValueError(
+            f"a cell of a TSV table must hold no tab and no line feed, got {odd[:60]!r}; rename it in the study"
+        )
+    rows = table.replace("", MISSING).to_numpy()
+    _write(path, "".join("\t".join(line) + "\n" for line in (table.columns, *rows)))
 
 
 def _describe(
     file: str, columns: Iterable[str], info: Mapping[str, MetricInfo] | None = None
 ) -> dict[str, Any]:
     """Describe columns for a sidecar, by the data dictionary; info: what a lab's own metrics declare."""
-    import pandas as pd
-
     empty, found = pd.Series([], dtype=object), {}
     for name in columns:
         known = describe_column(file, name, empty, info=info or {})
@@ -182,20 +185,13 @@ def _describe(
 # What a dataset holds.
 
 
-def _write_participants(
-    people: Sequence[Row], columns: Sequence[str], names: Mapping[str, str], *, path: Path
-) -> None:
+def _write_participants(people: pd.DataFrame, names: Mapping[str, str], *, path: Path) -> None:
     """Write the table of participants; without days, design numbers and names of rigs."""
-    shown = ["participant_id", *(name for name in columns if name not in WITHHELD)]
-    numbers = {
-        name: number_names([row[name] for row in people], name) for name in ("rig", "calibration")
-    }
-    rows = []
-    for row in people:
-        hidden = {name: own[row[name]] for name, own in numbers.items()}
-        rows.append({**row, **hidden, "participant_id": names[row["participant"]]})
-    _write_tsv(path.with_suffix(".tsv"), shown, sorted(rows, key=lambda row: row["participant_id"]))
-    about = _describe("participants.csv", shown)
+    shown = people.drop(columns=WITHHELD)
+    shown = shown.assign(**{name: _number(people[name], name) for name in ("rig", "calibration")})
+    shown.insert(0, "participant_id", people["participant"].map(names))
+    _write_tsv(path.with_suffix(".tsv"), shown.sort_values("participant_id"))
+    about = _describe("participants.csv", shown.columns)
     for entry in (one for one in about.values() if one["Description"].startswith("column ")):
         entry["Description"] = "group of the participant, a factor in which participants differ"
     _write_json(path.with_suffix(".json"), about)
@@ -203,49 +199,40 @@ def _write_participants(
 
 def _write_stimuli(study: StudyFolder, settings: Settings, folder: Path) -> None:
     """Write the vibrations and the manifest, with what its recordings are of and which are one and the same."""
-    rows, columns = _read_table(study.manifest)
-    origins = list_origins(settings)
-    numbers = number_names(origins.values(), "source")
-    further = {"source": {name: numbers[one] for name, one in origins.items()}}
+    table = _read_table(study.manifest)
     samples = {one.title: one.sample or "" for one in settings.recordings}
-    further |= {"sample": samples} if any(samples.values()) else {}
-    added = [name for name in further if name not in columns]
-    for row in rows:
-        row.update({name: further[name].get(row["recording"], "") for name in added})
+    further = {"source": _number(table["recording"].map(list_origins(settings)), "source")}
+    further |= {"sample": table["recording"].map(samples)} if any(samples.values()) else {}
+    new = {name: own.fillna("") for name, own in further.items() if name not in table}
+    table = table.assign(**new)
     info, _ = gather_info(settings.analysis.metrics, list_info(settings), study.manifest)
-    _write_tsv(folder / "stimuli.tsv", [*columns, *added], rows)
-    about = _describe("stimuli/manifest.csv", [*columns, *added], info)
-    _write_json(folder / "stimuli.json", about)
-    for row in rows:
-        make_folder((folder / row["file"]).parent, private=True)
-        write_bytes(folder / row["file"], (study.stimuli / row["file"]).read_bytes(), private=True)
+    _write_tsv(folder / "stimuli.tsv", table)
+    _write_json(folder / "stimuli.json", _describe("stimuli/manifest.csv", table.columns, info))
+    for name in table["file"]:
+        make_folder((folder / name).parent, private=True)
+        write_bytes(folder / name, (study.stimuli / name).read_bytes(), private=True)
 
 
 def _write_judgements(
-    study: StudyFolder,
-    settings: Settings,
-    judgements: Iterable[Row],
-    *,
-    names: Mapping[str, str],
-    folder: Path,
+    study: StudyFolder, settings: Settings, judgements: pd.DataFrame, *, folder: Path
 ) -> None:
     """Write a table per participant, session and task, and a sidecar per task."""
-    columns, texts = RATING_COLUMNS[1:], read_study_texts(settings, study.path)
-    parts: dict[tuple[str, int, str], list[Row]] = defaultdict(list)
-    for row in judgements:
-        parts[names[row["participant"]], int(row["session"]), row["protocol"]].append(row)
-    several = any(session > 1 for _, session, _ in parts)
-    for (name, session, protocol), rows in parts.items():
-        visit = [f"ses-{session:02}"] if several else []
-        file = "_".join([name, *visit, f"task-{_make_label(protocol)}", "beh.tsv"])
-        _write_tsv(folder.joinpath(name, *visit, "beh", file), columns, rows)
-    for protocol, scale in {key[2]: rows[0]["scale"] for key, rows in parts.items()}.items():
+    columns, texts = [*RATING_COLUMNS[1:]], read_study_texts(settings, study.path)
+    labels = {name: re.sub("[^0-9A-Za-z]", "", name) for name in judgements["protocol"].unique()}
+    several = (judgements["session"].astype(int) > 1).any()
+    for place, rows in judgements.groupby(["participant", "session", "protocol"]):
+        name, session, protocol = map(str, place)
+        visit = [f"ses-{int(session):02}"] if several else []
+        file = "_".join([name, *visit, f"task-{labels[protocol]}", "beh.tsv"])
+        _write_tsv(folder.joinpath(name, *visit, "beh", file), rows[columns])
+    for protocol, label in labels.items():
+        scale = judgements.loc[judgements["protocol"] == protocol, "scale"].iloc[0]
         asked = texts["scales"].get(scale, {})
         page = texts["pages"].get(f"instructions.{protocol}", {})
         ends = f"0 ({asked.get('low_label', '')}) to 100 ({asked.get('high_label', '')})"
         answer = f"The answer is given in points from {ends}."
         about = {
-            "TaskName": _make_label(protocol),
+            "TaskName": label,
             "TaskDescription": f"{asked.get('question', protocol)} {answer}",
             "Instructions": " ".join(page.get("text", "").split()),
             "InstitutionName": settings.publication.institution,
@@ -254,16 +241,11 @@ def _write_judgements(
             "StimulusPresentation": {"SoftwareName": "feel321", "SoftwareVersion": __version__},
         }
         about |= _describe("ratings.csv", columns)
-        _write_json(folder / f"task-{_make_label(protocol)}_beh.json", about)
-
-
-def _make_label(protocol: str) -> str:
-    """Make the label that a task has in file names."""
-    return "".join(letter for letter in protocol if letter.isalnum() and letter.isascii())
+        _write_json(folder / f"task-{label}_beh.json", about)
 
 
 def _write_words(
-    study: StudyFolder, settings: Settings, people: Sequence[Row], *, folder: Path
+    study: StudyFolder, settings: Settings, people: pd.DataFrame, *, folder: Path
 ) -> None:
     """Write what the dataset is, who made it and how it may be used."""
     own, newest = settings.publication, find_newest(study)
@@ -286,7 +268,7 @@ def _write_words(
     }
     _write_json(folder / "dataset_description.json", about)
     _write(folder / ".bidsignore", f"/{METHODS_FILE}\n")
-    simulated = sum(one["simulated"] == "true" for one in people)
+    simulated = int((people["simulated"] == "true").sum())
     facts = {"title": title, "own": own, "count": len(people), "simulated": simulated}
     _write(folder / "README", render("readme.txt", **facts))
     if own.authors:

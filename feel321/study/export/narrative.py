@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections import Counter
 from pathlib import Path
 from statistics import median
 from typing import TYPE_CHECKING, Any
+
+import pandas as pd
 
 from feel321 import intake
 from feel321.analysis.report.folder import METHODS
@@ -38,16 +39,16 @@ def count_flow(study: StudyFolder) -> dict[str, Any]:
     own = [one for one in holders if one.simulated == simulated]
     records = [one.records for one in study.read_people() if one.plan.simulated == simulated]
     done = [one for one in records if one.has(SessionFinished)]
-    with intake.open_text(study.ratings) as file:
-        rows = [row for row in csv.DictReader(file) if (row["simulated"] == "true") == simulated]
-    counted = [row for row in rows if row["rejected"] != "true"]
+    rows = pd.read_csv(study.ratings)
+    rows = rows[rows["simulated"] == simulated]
+    counted = rows[~rows["rejected"]]
     return {
         "simulated": simulated,
         "registered": len(own),
         "withdrew": sum(one.state == WITHDRAWN for one in own),
         "began": sum(one.has(TrialRated) for one in records),
         "finished": len(done),
-        "analysed": len({row["participant"] for row in counted}),
+        "analysed": counted["participant"].nunique(),
         "judgements": len(rows),
         "rejected": len(rows) - len(counted),
         "counted": len(counted),
@@ -65,15 +66,15 @@ def write_methods(study: StudyFolder, report: Path) -> None:
 def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bool = True) -> str:
     """Make the text of the methods section; without days where it goes along with a dataset."""
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli).stimuli
-    with intake.open_text(study.manifest) as file:
-        tests = [row for row in csv.DictReader(file) if row["role"] == "test"]
+    manifest = pd.read_csv(study.manifest)
+    tests = manifest[manifest["role"] == "test"].reindex(columns=["sensation_level_db"])
     recipe = read_details(study.stimuli).recipe
     filters = (("high", "high_pass_hz"), ("low", "low_pass_hz"))
     steps = ((word, recipe["conditioning"].get(key)) for word, key in filters)
     used = {one.calibration for one in list_progress(study) if one.calibration}
     found = [read_certificate(path) for path in list_certificates(study.calibration)]
     certificates = [one for one in found if one.id in used]
-    protocols = [task.protocol for task in make_design(settings, study.path).tasks]
+    protocols = [task.protocol for task in make_design(settings).tasks]
     usual = {name: f"[{name}]" for name in ("metrics", "draws", "seed", "margin")}
     flags = [one for one in results["numbers"] if one["quantity"] == "n_flagged"]
     return render(
@@ -98,7 +99,7 @@ def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bo
         narrow={
             one.recording: one.band_high_hz for one in stimuli if one.band_high_hz < HIGHEST_HZ
         },
-        levels=[float(row["sensation_level_db"]) for row in tests if row.get("sensation_level_db")],
+        levels=list(tests["sensation_level_db"].dropna()),
         tasks=[one if one in PROTOCOLS else f"{one} (a task of the lab)" for one in protocols],
         results=results,
         inputs=usual | results["inputs"],

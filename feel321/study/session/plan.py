@@ -14,8 +14,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
+from annotated_types import Interval
 from pydantic_core import from_json, to_json
 
 from feel321.files import create_text
@@ -45,7 +46,8 @@ FORMAT = 2  # of the stored plan, which says so
 PLAN_FILE = "plan.json"
 TOMBSTONE_FILE = "withdrawn.json"
 
-POLICIES = ("warm_up", "continue", "restart")
+Policy = Literal["warm_up", "continue", "restart"]
+POLICIES: tuple[Policy, ...] = get_args(Policy)
 """Ways to resume a session after a long break: practice first, go on at once, or begin anew beside it."""
 
 _SEAL = b',\n "sha256": "'
@@ -71,10 +73,10 @@ def list_by_code(stimuli: StimulusSet, *, seed: int) -> dict[str, Stimulus]:
 
 @dataclass(frozen=True, slots=True)
 class Stale:
-    """The rule for a session that was left for `after_h` hours (None for never): one of `POLICIES`."""
+    """The rule for a session that was left for `after_h` hours (None for never); `[session.stale]` of study.toml."""
 
-    after_h: float | None = 6.0
-    policy: str = "warm_up"
+    after_h: Annotated[float, Interval(gt=0, le=8760)] | None = 6.0
+    policy: Policy = "warm_up"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,11 @@
 """Tables of `study.toml` besides the study itself: `[observer]`, `[paper]` that is replicated, `[publication]`."""
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from feel321.doors import name_of
-from feel321.names import ANCHOR_NAMES, EXPECTATIONS, MEASURES, PROVENANCE
+from feel321.names import ANCHOR_NAMES, PaperClaim, Provenance
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.study.settings import fields as kinds
 
@@ -55,59 +55,6 @@ class ObserverTable(kinds.TomlTable):
         return self
 
 
-Provenance = Annotated[str, kinds.one_of(PROVENANCE)]
-
-
-class NumberTable(kinds.TomlTable):
-    """A paper's number: a value, a range, or both."""
-
-    value: kinds.Finite | None = None
-    low: kinds.Finite | None = None
-    high: kinds.Finite | None = None
-
-    @model_validator(mode="after")
-    def _check_ends(self) -> Self:
-        ends = [end for end in (self.low, self.value, self.high) if end is not None]
-        if (self.low is None) != (self.high is None) or not ends or ends != sorted(ends):
-            raise ValueError("must have a value, or low and high, or all three in that order")
-        return self
-
-
-class OptionsTable(kinds.TomlTable):
-    """`options` of a claim: what its measure needs to know."""
-
-    scale: kinds.Words | None = None
-    level: kinds.Words | None = None
-    metric: kinds.Words | None = None
-    metrics: kinds.Words | tuple[kinds.Words, ...] | None = None
-    reducer: kinds.Words | None = None
-    among: tuple[kinds.Words, ...] | None = None
-    recording: kinds.Words | None = None
-    method: kinds.Words | None = None
-    attribute: kinds.Words | None = None
-
-
-class ClaimTable(kinds.TomlTable):
-    """`[[paper.claims]]`: what the paper says, and what it is examined with here."""
-
-    name: kinds.Words
-    claim: kinds.Words
-    source: Provenance
-    measure: Annotated[str, kinds.one_of(MEASURES)]
-    expect: Annotated[str, kinds.one_of(EXPECTATIONS)] = EXPECTATIONS[0]
-    paper: NumberTable | None = None
-    exceptions: Annotated[tuple[kinds.Words, ...], kinds.Distinct] = ()
-    options: OptionsTable = OptionsTable()
-
-    @model_validator(mode="after")
-    def _check_near(self) -> Self:
-        if self.expect == "near" and (self.paper is None or self.paper.low is None):
-            raise ValueError(
-                "must give the paper's low and high where it expects near; add paper = { low = ..., high = ... }"
-            )
-        return self
-
-
 class PublishedTable(kinds.TomlTable):
     """`[[paper.published]]`: numbers of a metric that the paper gives for one of its recordings."""
 
@@ -124,16 +71,16 @@ class PaperTable(kinds.TomlTable):
 
     citation: kinds.Words
     doi: kinds.Words
-    seen: Annotated[str, kinds.one_of(PROVENANCE[:2])]
-    claims: tuple[ClaimTable, ...] = ()
+    seen: Literal["full text", "abstract"]
+    claims: tuple[PaperClaim, ...] = ()
     published: tuple[PublishedTable, ...] = ()
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         kinds.check_distinct(tuple(claim.name for claim in self.claims))
-        told = [(one, reducer) for one in self.published for reducer in one.numbers]
+        given = [(one, reducer) for one in self.published for reducer in one.numbers]
         kinds.check_distinct(
-            tuple(f"{one.recording}, {one.metric}, {reducer}" for one, reducer in told)
+            tuple(f"{one.recording}, {one.metric}, {reducer}" for one, reducer in given)
         )
         return self
 
@@ -166,11 +113,6 @@ class AuthorTable(kinds.TomlTable):
     orcid: Annotated[str, _ORCID] | None = None
     affiliation: kinds.Words | None = None
 
-    @property
-    def name(self) -> str:
-        """The whole name."""
-        return f"{self.given} {self.family}"
-
 
 class PublicationTable(kinds.TomlTable):
     """`[publication]`: what an export says of the study besides its data."""
@@ -190,14 +132,3 @@ class PublicationTable(kinds.TomlTable):
     keywords: tuple[kinds.Words, ...] = ()
     references: tuple[kinds.Words, ...] = ()
     doi: Annotated[str, _DOI] | None = None
-
-    def list_missing(self) -> list[str]:
-        """List what a reader of the data needs and the table lacks, a line each."""
-        needs = (
-            "title", "description", "authors", "licence", "ethics", "institution", "funding", "released",
-        )  # fmt: skip
-        return [
-            f"publication.{name}: missing; write it into study.toml, [publication]"
-            for name in needs
-            if not getattr(self, name)
-        ]

@@ -1,24 +1,30 @@
 """Kinds of values and tables of `study.toml` and `rig.toml`, and TOML read with errors that name the place.
 
-A rule refuses with "must be ...; what to do"; `parse_toml` adds the place and the value that was found there.
+A table is a `TomlTable`, or a record that the engine uses: a dataclass or a named tuple. A rule refuses with "must be
+...; what to do"; `parse_toml` adds the place and the value that was found there.
 """
 
 import json
 import re
 import tomllib
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, NoReturn, TypeVar, get_args
+from types import NoneType
+from typing import Annotated, Any, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
-from pydantic import AfterValidator, BaseModel, Field, ValidationError, WrapValidator
-from pydantic_core import ErrorDetails, PydanticCustomError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 from pydantic_core.core_schema import ValidationInfo
 
 from feel321 import intake
 from feel321.extensions import is_given
 
-OFF = "off"  # switches a setting off: TOML has no null
+OFF = "off"
+"""Switches a number off that may be left out: TOML has no null."""
+
 MOST = 1e9
 """Beyond this no setting means anything, whatever its unit; what costs time or memory has a ceiling of its own."""
 
@@ -29,18 +35,23 @@ class TomlTable(BaseModel):
     model_config = {"extra": "forbid", "frozen": True}
 
 
-def one_of(names: Collection[str]) -> AfterValidator:
-    """Make the rule that a name is one of a registry's."""
-    return AfterValidator(lambda name: check_one_of(name, names))
+def word_choice(name: str, names: Collection[str]) -> str:
+    """Word the rule that a name must be one of several."""
+    near = get_close_matches(name, list(names), n=1)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return f"must be one of {', '.join(names)}{hint}"
 
 
 def check_one_of(name: str, names: Collection[str]) -> str:
     """Demand one of several names."""
     if name not in names:
-        near = get_close_matches(name, list(names), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        raise ValueError(f"must be one of {', '.join(names)}{hint}")
+        raise ValueError(word_choice(name, names))
     return name
+
+
+def one_of(names: Collection[str]) -> AfterValidator:
+    """Make the rule that a name is one of a registry's."""
+    return AfterValidator(lambda name: check_one_of(name, names))
 
 
 def own_or_one_of(names: Collection[str], kind: str, table: str) -> AfterValidator:
@@ -85,32 +96,41 @@ def _check_words(text: str) -> str:
     return text
 
 
-def _take_off(value: object, read: Callable[[object], object]) -> object:
-    if value == OFF:
-        return None
-    try:
-        return read(value)
-    except ValidationError as error:
-        reason = {"reason": error.errors()[0]["msg"]}
-        raise PydanticCustomError("or_off", '{reason} or "off"', reason) from None
-
-
 Distinct = AfterValidator(check_distinct)
 Some = AfterValidator(check_some)
-OrOff = WrapValidator(_take_off)
 Words = Annotated[str, AfterValidator(_check_words)]
 Count = Annotated[int, Field(ge=0, le=10**6)]
 AtLeastOne = Annotated[int, Field(ge=1, le=10**6)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
-Positive = Annotated[float, Field(gt=0, le=MOST, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
-Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, le=MOST)]
+NotNegative = Annotated[float, Field(ge=0, le=MOST)]
+Finite = Annotated[float, Field(ge=-MOST, le=MOST)]
 Rate = Annotated[Positive, Field(le=10**6)]
 Seconds = Annotated[NotNegative, Field(le=86400)]
 Share = Annotated[float, Field(ge=0, le=1)]
-PositiveOrOff = Annotated[Positive | None, OrOff]
 
 Whole = TypeVar("Whole", bound=TomlTable)
+
+
+def list_tables(kind: Any) -> list[type]:  # noqa: ANN401 - any annotation
+    """List the tables that an annotation speaks of."""
+    if isinstance(kind, type) and (
+        issubclass(kind, TomlTable) or is_dataclass(kind) or hasattr(kind, "_fields")
+    ):
+        return [kind]
+    return [table for inner in get_args(kind) for table in list_tables(inner)]
+
+
+def list_fields(table: Any) -> dict[str, FieldInfo]:  # noqa: ANN401 - a model, a dataclass, a named tuple
+    """List the keys of a table."""
+    if issubclass(table, BaseModel):
+        return dict(table.model_fields)
+    defaults = table.__dataclass_fields__ if is_dataclass(table) else table._field_defaults
+    hints = get_type_hints(table, include_extras=True)
+    return {
+        name: FieldInfo.from_annotated_attribute(hint, defaults[name])
+        for name, hint in hints.items()
+    }
 
 
 def parse_toml(path: Path, model: type[Whole]) -> Whole:
@@ -118,6 +138,7 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
     try:
         # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
         tables = tomllib.loads(intake.read_small(path))
+        _switch_off(tables, [model])
         content = json.dumps(tables, default=_refuse_time)
     except TypeError as error:
         raise ValueError(f"{path.name}: {error}") from None
@@ -140,13 +161,33 @@ def _refuse_time(value: object) -> NoReturn:
     )
 
 
+def _may_be_off(kind: object) -> bool:
+    bases = [getattr(one, "__origin__", one) for one in get_args(kind)]
+    return NoneType in bases and bool({int, float} & set(bases))
+
+
+def _switch_off(entry: dict[str, Any], tables: Sequence[type]) -> None:
+    """Put nothing in the place of each "off"."""
+    known = {name: one.annotation for table in tables for name, one in list_fields(table).items()}
+    for key, value in entry.items():
+        kind = known.get(key)
+        if value == OFF and _may_be_off(kind):
+            entry[key] = None
+        inner = list_tables(kind)
+        is_named = get_origin(kind) is dict and isinstance(value, dict)
+        several = value.values() if is_named else value if isinstance(value, list) else [value]
+        for one in several if inner else ():
+            if isinstance(one, dict):
+                _switch_off(one, inner)
+
+
 def _translate(detail: ErrorDetails, model: type[TomlTable]) -> str:
-    place, table = _locate(detail["loc"], model)
+    place, table, kind = _locate(detail["loc"], model)
     match detail["type"]:
         case "json_invalid":  # We wrote the JSON: only its depth can be wrong.
             return "TOML nested too deeply; use fewer levels"
-        case "extra_forbidden":
-            names = table.model_fields
+        case "extra_forbidden" | "unexpected_keyword_argument":
+            names = list_fields(table)
             near = get_close_matches(str(detail["loc"][-1]), names, n=1)
             known = f"did you mean {near[0]}?" if near else f"known: {', '.join(names)}"
             return f"{place}: unknown setting; {known}"
@@ -154,8 +195,12 @@ def _translate(detail: ErrorDetails, model: type[TomlTable]) -> str:
             return f"{place}: missing; add it"
         case "value_error":
             reason = str(detail["ctx"]["error"])
+        case "literal_error":
+            allowed = re.findall("'(.*?)'", detail["ctx"]["expected"])
+            reason = word_choice(str(detail["input"]), allowed)
         case _:  # What JSON calls an object is a table in TOML.
             reason = detail["msg"].replace("Input should", "must").replace("an object", "a table")
+            reason += ' or "off"' * _may_be_off(kind)
     # Whole tables are too long to repeat, and some reasons say themselves what was found.
     value = repr(detail["input"])
     got = "" if "{" in value or "got " in reason else f"got {intake.clip(value)}"
@@ -165,23 +210,15 @@ def _translate(detail: ErrorDetails, model: type[TomlTable]) -> str:
     return f"{place} {rule}{', ' if got else ''}{got}{'; ' if remedy else ''}{remedy}"
 
 
-def _locate(location: Sequence[int | str], model: type[TomlTable]) -> tuple[str, type[TomlTable]]:
-    """Write a place as the file's author counts, `recordings[1].unit`, and find the table that it lies in."""
-    place, tables = "", [model]
+def _locate(location: Sequence[int | str], model: type) -> tuple[str, type, object]:
+    """Write a place as the file's author counts, `recordings[1].unit`; find its table, and what may stand there."""
+    place, tables, kind = "", [model], None
     for part in location:
         if isinstance(part, int):
             place += f"[{part + 1}]"
-        elif len(tables) > 1:  # the kind of a table, which is no key
-            tables = [table for table in tables if part in table.model_fields][:1]
         elif part != "[key]":  # what pydantic adds to a name that is not allowed
             place += f".{part}" if place else part
-            field = tables[0].model_fields.get(part)
-            tables = (list_tables(field.annotation) if field else []) or tables
-    return place, tables[0]
-
-
-def list_tables(kind: Any) -> list[type[TomlTable]]:  # noqa: ANN401 - any annotation
-    """List the tables that an annotation speaks of."""
-    if isinstance(kind, type) and issubclass(kind, TomlTable):
-        return [kind]
-    return [table for inner in get_args(kind) for table in list_tables(inner)]
+            field = list_fields(tables[0]).get(part)
+            kind = field.annotation if field else None
+            tables = list_tables(kind) or tables
+    return place, tables[0], kind

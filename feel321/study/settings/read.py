@@ -1,14 +1,12 @@
-"""Read and edit `study.toml`; turn it into recordings, recipe, texts and design; check it as a whole."""
+"""Read and edit `study.toml`; turn it into recordings, methods, recipe, texts and design."""
 
 import hashlib
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
-from difflib import get_close_matches
 from inspect import signature
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +14,11 @@ from feel321 import intake
 from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import FORMS, Method, find_method, is_given, list_entry_points
 from feel321.files import create_text, make_folder, temporary_folder, write_text
-from feel321.names import METRIC_INFO, WRITTEN
-from feel321.protocols.tasks import PROTOCOLS, digest_protocols
-from feel321.protocols.texts import MODEL, Question, read_ready, read_texts
+from feel321.names import WRITTEN
+from feel321.protocols.tasks import digest_protocols
+from feel321.protocols.texts import read_texts
 from feel321.protocols.threshold import MatchingBlock
-from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
-from feel321.stimuli.condition import Conditioning
+from feel321.protocols.trial import Flow
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
@@ -35,19 +32,18 @@ from feel321.study.session.journal import digest
 from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
+from feel321.study.settings.conflicts import find_conflicts, find_mute_scales
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import (
     LANGUAGE_FILE,
     SCENE_RATE_HZ,
+    MethodTable,
     RecordingTable,
     Settings,
-    TaskTable,
 )
 from feel321.types import Metric, Reducer
 
-NO_METHODS = (ORIGINAL, NO_REFERENCE)
-MOST_TRIALS = 10_000
-"""Trials in a session; people do a few hundred, simulated participants somewhat more."""
+CONSENT = "consent"  # the page whose text a lab can set by itself
 
 
 def read_settings(path: Path, folder: Path | None = None) -> Settings:
@@ -104,14 +100,14 @@ def change_settings(text: str, changes: Mapping[str, object]) -> str:
             if not isinstance(place, dict):
                 where = f"{name}: {table} is not a table of settings"
                 raise ValueError(f"{where}; edit study.toml")  # noqa: TRY004 - of the file
-        before = place.get(key)
         if value is None:
             place.pop(key, None)
-        else:
-            place[key] = item = tomlkit.item(_make_plain(name, value))
-            if hasattr(before, "trivia"):  # the comment behind it stays
-                item.trivia.comment = before.trivia.comment
-                item.trivia.comment_ws = before.trivia.comment_ws
+            continue
+        item = tomlkit.item(_make_plain(name, value))
+        if hasattr(before := place.get(key), "trivia"):  # the comment behind it stays
+            item.trivia.comment = before.trivia.comment
+            item.trivia.comment_ws = before.trivia.comment_ws
+        place[key] = item
     return tomlkit.dumps(document)
 
 
@@ -156,6 +152,9 @@ def add_methods(study: StudyFolder) -> None:
     write_text(study.settings, text + tables)
 
 
+# Recordings.
+
+
 def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
     """List the surfaces that participants touch or see, by the names of their recordings."""
     return {
@@ -172,12 +171,9 @@ def list_origins(settings: Settings) -> dict[str, str]:
     }
 
 
-def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
-    """Read every recording of a study; all that cannot be read are named at once."""
-    found = [one for _, one in try_recordings(settings, folder)]
-    if mistakes := [one for one in found if isinstance(one, str)]:
-        raise ValueError("\n".join(mistakes))
-    return [one for one in found if isinstance(one, Recording)]
+def list_unread(settings: Settings, folder: Path) -> list[Unread]:
+    """List the recordings of a study as they are to be read."""
+    return [Unread(entry.title, _open_entry, (entry, folder)) for entry in settings.recordings]
 
 
 def try_recordings(settings: Settings, folder: Path) -> Iterator[tuple[Unread, Recording | str]]:
@@ -189,20 +185,24 @@ def try_recordings(settings: Settings, folder: Path) -> Iterator[tuple[Unread, R
             yield source, f"recording {source.name!r}: {error}"
 
 
-def list_unread(settings: Settings, folder: Path) -> list[Unread]:
-    """List the recordings of a study as they are to be read."""
-    return [Unread(entry.title, _open_entry, (entry, folder)) for entry in settings.recordings]
+def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
+    """Read every recording of a study; all that cannot be read are named at once."""
+    found = [one for _, one in try_recordings(settings, folder)]
+    if mistakes := [one for one in found if isinstance(one, str)]:
+        raise ValueError("\n".join(mistakes))
+    return [one for one in found if isinstance(one, Recording)]
 
 
 def _open_entry(entry: RecordingTable, folder: Path) -> Recording:
     """Read a recording as its table says."""
-    path = folder / (entry.file or "")
-    own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
     if entry.scene:
-        length = {"rate_hz": entry.rate_hz or SCENE_RATE_HZ, "duration_s": entry.duration_s}
-        recording = make_scene(entry.scene, rng=entry.seed, **length)
+        rate_hz = entry.rate_hz or SCENE_RATE_HZ
+        recording = make_scene(
+            entry.scene, rng=entry.seed, rate_hz=rate_hz, duration_s=entry.duration_s
+        )
     else:
-        recording = read_recording(path, **own)
+        own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
+        recording = read_recording(folder / (entry.file or ""), **own)
     return recording if entry.rotation is None else turn_recording(recording, entry.rotation)
 
 
@@ -218,52 +218,33 @@ def turn_recording(recording: Recording, rotation: int) -> Recording:
     return replace(recording, acceleration=turned, sha256=sha256)
 
 
-def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
-    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
-    stimuli = settings.stimuli.model_dump(exclude={"conditioning", "below_threshold"})
-    own = {
-        "reducers": [find_reducer(settings, name, folder) for name in settings.stimuli.reducers],
-        "metrics": [find_metric(settings, name, folder) for name in settings.stimuli.metrics],
-        "reference": find_reducer(settings, settings.stimuli.reference, folder),
-    }
-    steps = Conditioning(**settings.stimuli.conditioning.model_dump())
-    rig, seed = settings.rig.of_stimuli(), settings.study.seed
-    exceptions = {one.title: one.exceptions for one in settings.recordings if one.exceptions}
-    return Recipe(conditioning=steps, **(stimuli | own), **rig, seed=seed, exceptions=exceptions)
+# Reducers and metrics, by the names that settings and the command line use.
 
 
-# Reducers and metrics of the lab's own, by the names that settings and the command line use.
-
-
-def find_reducer(settings: Settings, name: str, folder: Path | None) -> str | Method:
-    """Find one of the lab's own reducers; a name of feel321's stays a name."""
-    if name in REDUCERS or name in NO_METHODS:
+def find_own(settings: Settings, kind: str, name: str, *, folder: Path | None) -> str | Method:
+    """Find a reducer or metric of the lab's own; a name of feel321's stays a name."""
+    is_metric = kind == "metric"
+    taken: Collection[str] = METRICS if is_metric else REDUCERS
+    if name in taken or (not is_metric and name in {ORIGINAL, NO_REFERENCE}):
         return name
-    declared = {key: table.to_facts() for key, table in settings.reducers.items()}
-    return find_method("reducer", name, taken=REDUCERS, folder=folder, declared=declared)
-
-
-def find_metric(settings: Settings, name: str, folder: Path | None) -> str | Method:
-    """Find one of the lab's own metrics; a name of feel321's stays a name."""
-    if name in METRICS:
-        return name
-    declared = {key: table.to_facts() for key, table in settings.metrics.items()}
-    return find_method("metric", name, taken=METRICS, folder=folder, declared=declared)
+    tables: Mapping[str, MethodTable] = settings.metrics if is_metric else settings.reducers
+    declared = {key: table.to_facts() for key, table in tables.items()}
+    return find_method(kind, name, taken=taken, folder=folder, declared=declared)
 
 
 def open_reducer(name: str, folder: Path) -> Reducer:
     """Open a reducer: feel321's, or one of the study in a folder, of its files, or of an installed package."""
     settings = _read_if_there(folder)
-    if name in NO_METHODS:
+    if name in {ORIGINAL, NO_REFERENCE}:
         allowed = (*REDUCERS, *settings.reducers)
         raise ValueError(f"{refuse_name(name, allowed, 'reducer')}; {FORMS}")
-    found = find_reducer(settings, name, folder)
+    found = find_own(settings, "reducer", name, folder=folder)
     return REDUCERS[name] if isinstance(found, str) else OwnReducer(found)
 
 
 def open_metric(name: str, folder: Path) -> Metric:
     """Open a metric likewise."""
-    found = find_metric(_read_if_there(folder), name, folder)
+    found = find_own(_read_if_there(folder), "metric", name, folder=folder)
     return METRICS[name] if isinstance(found, str) else OwnMetric(found)
 
 
@@ -271,13 +252,13 @@ def open_method(name: str, folder: Path, kind: str | None = None) -> Method:
     """Open one of the lab's own methods; without a kind, a metric is what takes three arguments."""
     settings = _read_if_there(folder)
     if kind is None and name not in settings.reducers:
-        takes_pair = name in settings.metrics or name in list_entry_points("metric")
+        takes_pair = name in {*settings.metrics, *METRICS, *list_entry_points("metric")}
         if ":" in name and not takes_pair:
             own = find_method("reducer", name, folder=folder)
             with suppress(ValueError, TypeError):  # whatever is wrong with it is found again
                 takes_pair = len(signature(own.load()).parameters) == 3  # noqa: PLR2004 - and the rate
-        kind = "metric" if takes_pair or name in METRICS else None
-    found = (find_metric if kind == "metric" else find_reducer)(settings, name, folder)
+        kind = "metric" if takes_pair else None
+    found = find_own(settings, kind or "reducer", name, folder=folder)
     if isinstance(found, str):
         raise ValueError(f"{name} is feel321's own; name a reducer or metric of yours")  # noqa: TRY004
     return found
@@ -292,31 +273,44 @@ def _read_if_there(folder: Path) -> Settings:
 def list_methods(settings: Settings, folder: Path) -> list[Method]:
     """List the lab's own reducers and metrics that a study uses or declares."""
     stimuli = settings.stimuli
-    reducers = dict.fromkeys((*stimuli.reducers, stimuli.reference, *settings.reducers))
     # Tables without code say what a column means.
     declared = [name for name, table in settings.metrics.items() if table.use or table.command]
-    found = [find_reducer(settings, name, folder) for name in reducers]
-    metrics = dict.fromkeys((*stimuli.metrics, *declared))
-    found += [find_metric(settings, name, folder) for name in metrics]
+    names = {
+        "reducer": (*stimuli.reducers, stimuli.reference, *settings.reducers),
+        "metric": (*stimuli.metrics, *declared),
+    }
+    found = [find_own(settings, kind, one, folder=folder) for kind in names for one in names[kind]]
     return list({(one.kind, one.name): one for one in found if not isinstance(one, str)}.values())
 
 
 def list_for_tradeoff(
     settings: Settings, folder: Path
 ) -> tuple[dict[str, Reducer], dict[str, Metric]]:
-    """List the lab's own reducers, but those made elsewhere, which reduce nothing else; and metrics beside ours."""
+    """List the lab's own reducers, and the metrics besides those that are always measured."""
     asked = [name for name in settings.stimuli.metrics if name in METRICS and name not in WRITTEN]
+    own = list_methods(settings, folder)
     metrics: dict[str, Metric] = {name: METRICS[name] for name in asked}
-    reducers: dict[str, Reducer] = {}
-    for one in list_methods(settings, folder):
-        if one.kind == "metric":
-            metrics[one.name] = OwnMetric(one)
-        elif one.origin != "made":
-            reducers[one.name] = OwnReducer(one)
-    return reducers, metrics
+    metrics |= {one.name: OwnMetric(one) for one in own if one.kind == "metric"}
+    return {one.name: OwnReducer(one) for one in own if one.kind == "reducer"}, metrics
 
 
-CONSENT = "consent"  # the page whose text a lab can set by itself
+def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
+    """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
+    stimuli = settings.stimuli
+    given = {name: value for name, value in stimuli if name != "below_threshold"}
+    own = {
+        "reducers": [
+            find_own(settings, "reducer", name, folder=folder) for name in stimuli.reducers
+        ],
+        "metrics": [find_own(settings, "metric", name, folder=folder) for name in stimuli.metrics],
+        "reference": find_own(settings, "reducer", stimuli.reference, folder=folder),
+    }
+    exceptions = {one.title: one.exceptions for one in settings.recordings if one.exceptions}
+    rig, seed = settings.rig.of_stimuli(), settings.study.seed
+    return Recipe(**(given | own), **rig, seed=seed, exceptions=exceptions)
+
+
+# Texts and sessions.
 
 
 def find_language(settings: Settings, folder: Path) -> str | Path:
@@ -329,7 +323,7 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     """Read all texts of a study, the lab's own scales and consent among them."""
     language = find_language(settings, folder)
     texts = read_texts(language)
-    if mute := list(_find_mute_scales(settings, texts["scales"])):
+    if mute := list(find_mute_scales(settings, texts["scales"])):
         raise ValueError("\n".join(f"study.toml: {line} (here, or in {language})" for line in mute))
     texts["scales"] |= {name: table.to_texts() for name, table in settings.scales.items()}
     admission.add_texts(texts, settings.session.protocols)
@@ -338,42 +332,33 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     return texts
 
 
-def make_design(settings: Settings, folder: Path | None = None) -> Design:
-    """Make the design of the sessions; a file in the study's folder may hold the texts of ready questions."""
+def make_design(settings: Settings) -> Design:
+    """Make the design of the sessions."""
     session = settings.session
     rehearsal, breaks, matching = session.rehearsal, session.breaks, session.matching
-    rounds = {"training": rehearsal.training, "practice": rehearsal.practice}
-    tables = {name: settings.tasks.get(name, TaskTable()) for name in session.protocols}
-    questions: list[Question] = []
-    for table in session.questions:
-        if table.use:
-            texts = read_texts(MODEL if folder is None else find_language(settings, folder))
-            questions += read_ready(table.use, texts, when=table.when)
-        else:
-            questions.append(table.make_question())
+    flow = Flow(
+        training_pass=rehearsal.pass_share,
+        training_rounds=rehearsal.rounds,
+        break_trials=breaks.every_trials,
+        break_min=breaks.every_min,
+        break_s=breaks.break_s,
+        rest_s=breaks.rest_s,
+        **session.quality.model_dump(),
+    )
+    # The last of the set's levels is matched where none is named.
+    level = (matching and matching.level) or settings.stimuli.levels[-1]
     return Design(
         seed=settings.study.seed,
         order=session.order,
         task_order=session.task_order,
         repeats=session.repeats,
         recordings_per_participant=session.recordings_per_participant,
-        tasks=tuple(table.make_task(name, **rounds) for name, table in tables.items()),
+        tasks=settings.list_tasks(),
         between=dict(settings.between),
-        flow=Flow(
-            training_pass=rehearsal.pass_share,
-            training_rounds=rehearsal.rounds,
-            break_trials=breaks.every_trials,
-            break_min=breaks.every_min,
-            break_s=breaks.break_s,
-            rest_s=breaks.rest_s,
-            **session.quality.model_dump(),
-        ),
+        flow=flow,
         threshold=session.threshold.make_block() if session.threshold else None,
-        # The last of the set's levels is matched where none is named.
-        matching=MatchingBlock(matching.level or settings.stimuli.levels[-1], matching.repeats)
-        if matching
-        else None,
-        questions=tuple(questions),
+        matching=MatchingBlock(level, matching.repeats) if matching else None,
+        questions=session.questions,
     )
 
 
@@ -406,149 +391,3 @@ def make_terms(design: Design, settings: Settings, folder: Path) -> dict[str, An
     own["tasks"] = {task["protocol"]: task for task in own["tasks"]}
     identity = make_identity(settings, folder, {})
     return own | {name: identity.get(name) for name in ("locale", "texts_sha256", "rig", "methods")}
-
-
-def find_conflicts(settings: Settings) -> list[str]:
-    """Find settings that do not go together."""
-    # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
-    checks = (_check_methods, _check_stimuli, _check_tasks)
-    if found := [line for check in checks for line in check(settings)]:
-        return found
-    groups = list(_list_groups(settings))
-    found = list(dict.fromkeys(_check_comparisons(settings, groups)))
-    return found or list(_check_length(settings, groups))
-
-
-def _check_methods(settings: Settings) -> Iterator[str]:
-    """Refuse unknown metrics, and tables that would replace a method of feel321's: they would be left unread."""
-    coded = [name for name, one in settings.metrics.items() if one.use or one.command]
-    own = [
-        ("reducers", name) for name in settings.reducers if name in REDUCERS or name in NO_METHODS
-    ]
-    for kind, name in (*own, *(("metrics", name) for name in coded if name in METRICS)):
-        yield f"{kind}.{name}: the name is taken by one of feel321's own; give yours another"
-    for name, table in settings.metrics.items():
-        if name in METRIC_INFO and table.higher not in {None, (right := METRIC_INFO[name].higher)}:
-            yield f"metrics.{name}.higher must be {right!r} for this metric, got {table.higher!r}; remove it"
-    # A lab's own is not imported yet.
-    further = [name for name in METRICS if name not in WRITTEN]
-    for number, name in enumerate(settings.stimuli.metrics, start=1):
-        if name in WRITTEN:
-            yield f"stimuli.metrics[{number}] must be a further metric, got {name!r}, which every set has; remove it"
-        elif name not in METRICS and not is_given("metric", name, settings.metrics):
-            yield refuse_name(name, further, f"stimuli.metrics[{number}]")
-
-
-def _check_stimuli(settings: Settings) -> Iterator[str]:
-    """Check that there is what is to be compared or matched."""
-    stimuli, matching = settings.stimuli, settings.session.matching
-    if (reference := stimuli.reference) in stimuli.reducers:
-        rule = "must not be one of stimuli.reducers too"
-        yield f"stimuli.reference {rule}, got {reference!r}; take it out of the reducers"
-    if matching and matching.level not in {None, *stimuli.levels}:
-        rule = f"must be one of stimuli.levels, got {matching.level!r}"
-        yield f"session.matching.level {rule}; add it there"
-    if matching and reference == NO_REFERENCE:
-        yield f"session.matching needs a reference, got stimuli.reference = {reference!r}; set another one"
-
-
-def _check_tasks(settings: Settings) -> Iterator[str]:
-    """Try each setting of a task by itself, so that every mistake is found; then all together."""
-    for name, table in settings.tasks.items():
-        alone = [TaskTable(**{key: value}) for key, value in table if key in table.model_fields_set]
-        faults = []
-        for one in (*alone, table):
-            try:
-                one.make_task(name)
-            except ValueError as error:
-                faults.append(str(error))
-        yield from dict.fromkeys(faults[:-1] or faults)
-    # Words in a file of the lab's own are found when it is read.
-    if not settings.session.language.endswith(LANGUAGE_FILE):
-        yield from _find_mute_scales(settings, read_texts(settings.session.language)["scales"])
-    places = {
-        "level": ("stimuli.levels", settings.stimuli.levels),
-        "protocol": ("session.protocols", settings.session.protocols),
-    }
-    for factor, (place, allowed) in places.items():
-        for name in settings.between.get(factor, ()):
-            if name not in allowed:
-                rule = f"must be one of {', '.join(allowed)}, got {name!r}"
-                yield f"between.{factor} {rule}; or add it to {place}"
-
-
-def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[str]:
-    """Find scales that are asked and have no words, and words for scales that are no sliders."""
-    for name in settings.scales:
-        if texts.get(name, {}).get("choices"):
-            yield f"scales.{name}: must not be set, the answer to {name} is a choice; remove it"
-    known = {*texts, *settings.scales}
-    asked = [(task, name) for task, table in settings.tasks.items() for name in table.scales]
-    for task, name in asked:
-        if name not in known:
-            near = get_close_matches(name, known, n=1)
-            hint = f"did you mean {near[0]!r}? Or " if near else ""
-            remedy = f"{hint}add [scales.{name}] with question, low and high"
-            yield f"tasks.{task}.scales: {name!r} has no words; {remedy}"
-
-
-Group = tuple[tuple[Item, ...], tuple[Task, ...]]  # what its participants feel, and do
-
-
-def _check_comparisons(settings: Settings, groups: list[Group]) -> Iterator[str]:
-    """Check that surfaces have names, and that the stimuli to be built are what the tasks need."""
-    tasks = dict.fromkeys(task for _, own in groups for task in own)
-    on_surfaces = [task.protocol for task in tasks if task.surface or task.reference == SURFACE]
-    for number, recording in enumerate(settings.recordings, start=1):
-        if on_surfaces and not recording.sample:
-            yield (
-                f"recordings[{number}].sample: missing, but participants touch the real surface in "
-                f"{' and '.join(on_surfaces)}; add the name that it has in the lab"
-            )
-    for items, own in groups:
-        for task in own:
-            try:
-                PROTOCOLS[task.protocol].make_lessons(items, task)
-                PROTOCOLS[task.protocol].compare(items, task)
-            except (TypeError, ValueError) as error:
-                yield f"tasks.{task.protocol}: {error}"
-
-
-def _check_length(settings: Settings, groups: list[Group]) -> Iterator[str]:
-    """Count the trials of each group, which are as many for each recording."""
-    everything, share = len(settings.recordings), settings.session.recordings_per_participant
-    if share and share > everything:
-        yield (
-            f"session.recordings_per_participant must be at most the {everything} recordings of the study, "
-            f"got {share}; leave it out, and everybody feels them all"
-        )
-    repeats = settings.session.repeats
-    trials = max(
-        sum(len(PROTOCOLS[task.protocol].compare(items, task)) for task in own)
-        for items, own in groups
-    ) * (repeats * (share or everything))
-    if trials > MOST_TRIALS:
-        yield (
-            f"a session must have at most {MOST_TRIALS} trials, got {trials} with session.repeats = {repeats}; use "
-            "fewer repeats, reducers or recordings, or let each participant feel a share of them: "
-            "session.recordings_per_participant"
-        )
-
-
-def _list_groups(settings: Settings) -> Iterator[Group]:
-    """List the stimuli, as built from the first recording, and the tasks of the groups that differ in them."""
-    from feel321.stimuli.sets.recipe import ANCHORS
-
-    stimuli, recording = settings.stimuli, settings.recordings[0].title
-    tasks = make_design(settings).tasks
-    made = [(name_of(name), "test") for name in stimuli.reducers]
-    made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
-    made += [(name, "anchor") for name in ANCHORS] * stimuli.anchors
-    items = [
-        Item(f"{recording}-{role}-{reducer}-{level}", recording, reducer, level, role)
-        for level in stimuli.levels
-        for reducer, role in made
-    ]
-    factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
-    for levels in product(*factors.values()):
-        yield select_group(items, tasks, dict(zip(factors, levels, strict=True)))

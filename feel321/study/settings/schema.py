@@ -15,7 +15,6 @@ from feel321 import intake
 from feel321.protocols import texts
 from feel321.protocols.order import ORDERS, TASK_ORDERS
 from feel321.protocols.tasks import make_task
-from feel321.protocols.texts import list_languages
 from feel321.protocols.threshold import (
     PROCEDURES,
     USUAL,
@@ -34,250 +33,30 @@ from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.study.admission import OURS, name_protocols
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
-from feel321.study.session.plan import POLICIES, Stale
+from feel321.study.session.plan import Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.about import ObserverTable, PaperTable, PublicationTable
 
-_FLOW, _STALE, _RECIPE, _STEPS = Flow(), Stale(), Recipe(), Conditioning()
-_BLOCK = ThresholdBlock("bayesian", (), USUAL)
+_FLOW, _RECIPE, _BLOCK = Flow(), Recipe(), ThresholdBlock("bayesian", (), USUAL)
 """What the floors below do where nothing is asked for: their defaults are the study's."""
 
-MOST_GROUPS = 64
-"""A balanced design wants several participants in each group; more groups than this are a slip."""
-
-TAKEN = {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS, *RATING_COLUMNS} - set(CHOOSING)
-"""Names of columns: a factor becomes one of `participants.csv`, which is joined with `ratings.csv`."""
-
-
-def _check_factor(name: str) -> str:
-    """Demand a name that can head a column of its own."""
-    singular = name.casefold().removesuffix("s")
-    if name not in CHOOSING and singular in CHOOSING:
-        raise ValueError(f"must be {singular!r} or a label of your own")
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
-        raise ValueError("must be up to 40 letters (A-Z), digits and _, beginning with a letter")
-    if name.casefold() in TAKEN or re.fullmatch(r"threshold_\w+hz", name.casefold()):
-        raise ValueError("must not be a column of participants.csv or ratings.csv; rename it")
-    return name
-
-
-def _check_groups(between: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
-    if (groups := count_groups(between)) > MOST_GROUPS:
-        raise ValueError(
-            f"there must be at most {MOST_GROUPS} groups, got {groups}; use fewer factors or levels"
-        )
-    return between
-
-
-def count_groups(between: Mapping[str, tuple[str, ...]]) -> int:
-    """Count the groups that factors make."""
-    return math.prod(len(levels) for levels in between.values())
-
-
-Levels = Annotated[tuple[kinds.Words, ...], kinds.Some]
-Label = Annotated[str, AfterValidator(texts.check_label)]
-
-
-class ScaleTable(kinds.TomlTable):
-    """`[scales.NAME]`: a scale of the lab's own, or other words for one of feel321's."""
-
-    question: kinds.Words
-    low: kinds.Words
-    high: kinds.Words
-    anchors: tuple[kinds.Words, ...] = ()
-
-    @model_validator(mode="after")
-    def _check_ends(self) -> Self:
-        if self.low == self.high:
-            raise ValueError(f"low and high must differ, got {self.low!r} for both")
-        return self
-
-    def to_texts(self) -> dict[str, str | list[str]]:
-        """Return its texts as a language holds them."""
-        texts = {"question": self.question, "low_label": self.low, "high_label": self.high}
-        return texts | ({"anchors": list(self.anchors)} if self.anchors else {})
-
-
-class QuestionTable(kinds.TomlTable):
-    """`[[session.questions]]`: a question page, or a ready one by its name."""
-
-    use: Annotated[str, kinds.one_of(texts.READY)] | None = None
-    name: Label | None = None
-    kind: Annotated[str, kinds.one_of(texts.KINDS)] | None = None
-    question: kinds.Words | None = None
-    options: tuple[str, ...] = ()
-    low: kinds.Finite | None = None
-    high: kinds.Finite | None = None
-    when: Annotated[str, kinds.one_of(texts.TIMES)] = texts.TIMES[0]
-    personal: bool = False
-    required: bool = True
-
-    @model_validator(mode="after")
-    def _check_whole(self) -> Self:
-        others = sorted(self.model_fields_set - {"use", "when"})
-        if self.use and others:
-            own = f"use = {self.use!r} brings its own questions"
-            raise ValueError(f"{own}; remove {', '.join(others)}, or use")
-        for key in () if self.use else ("name", "kind", "question"):
-            if getattr(self, key) is None:
-                raise ValueError(f"{key} is missing; add it, or use = 'demographics'")
-        if not self.use:
-            texts.check_question(self.make_question())
-        return self
-
-    def make_question(self) -> texts.Question:
-        """Make the question of a plan."""
-        return texts.Question(**self.model_dump(exclude={"use"}))
-
-
-def _check_questions(tables: tuple[QuestionTable, ...]) -> tuple[QuestionTable, ...]:
-    named = (texts.READY[one.use] if one.use else [one.name or ""] for one in tables)
-    names = kinds.check_distinct(tuple(name for own in named for name in own))
-    if len(names) > (most := texts.MOST_QUESTIONS):
-        raise ValueError(f"must be at most {most} questions, got {len(names)}")
-    return tables
-
-
 LANGUAGE_FILE = ".toml"  # how the name of a lab's own file of texts ends
+
 Level = Annotated[float, Field(ge=-120, le=60)]
 LevelName = Annotated[str, kinds.one_of(LEVELS)]
 UpTo100 = Annotated[kinds.Count, Field(le=100)]
 UpToAnHour = Annotated[kinds.NotNegative, Field(le=3600)]
+Label = Annotated[str, AfterValidator(texts.check_label)]
 
 
-def _check_language(language: str) -> str:
-    if language not in list_languages() and not language.endswith(LANGUAGE_FILE):
-        raise ValueError(
-            f'must be one of {", ".join(list_languages())}, or a file beside study.toml such as "texts/fr.toml"'
-        )
-    return language
+class StudyTable(kinds.TomlTable):
+    """`[study]`: name and seed."""
+
+    name: kinds.Words = ""  # the folder's, once the file is read
+    seed: kinds.Seed = 321
 
 
-class RehearsalTable(kinds.TomlTable):
-    """`[session.rehearsal]`: what comes before the trials that count."""
-
-    training: UpTo100 = 4
-    practice: UpTo100 = 2
-    pass_share: kinds.Share = _FLOW.training_pass
-    rounds: Annotated[int, Field(ge=1, le=100)] = _FLOW.training_rounds
-
-
-class BreaksTable(kinds.TomlTable):
-    """`[session.breaks]`: when the hand rests."""
-
-    every_trials: Annotated[kinds.AtLeastOne | None, kinds.OrOff] = _FLOW.break_trials
-    every_min: Annotated[Annotated[kinds.Positive, Field(le=1440)] | None, kinds.OrOff] = (
-        _FLOW.break_min
-    )
-    break_s: UpToAnHour = _FLOW.break_s
-    rest_s: UpToAnHour = _FLOW.rest_s
-
-
-class QualityTable(kinds.TomlTable):
-    """`[session.quality]`: which trials are repeated."""
-
-    min_response_s: Annotated[kinds.NotNegative, Field(le=5)] = _FLOW.min_response_s
-    max_attempts: Annotated[int, Field(ge=1, le=100)] = _FLOW.max_attempts
-    reject: Annotated[tuple[Annotated[str, kinds.one_of(FLAGS)], ...], kinds.Distinct] = (
-        _FLOW.reject
-    )
-    gap_s: Annotated[kinds.NotNegative, Field(le=30)] = _FLOW.gap_s
-    level_error_db: kinds.PositiveOrOff = _FLOW.level_error_db
-    min_coherence: kinds.Share = _FLOW.min_coherence
-
-
-class StaleTable(kinds.TomlTable):
-    """`[session.stale]`: what becomes of a session that is resumed late."""
-
-    after_h: Annotated[Annotated[kinds.Positive, Field(le=8760)] | None, kinds.OrOff] = (
-        _STALE.after_h
-    )
-    policy: Annotated[str, kinds.one_of(POLICIES)] = _STALE.policy
-
-
-class ThresholdTable(kinds.TomlTable):
-    """`[session.threshold]`: the detection threshold of each participant, at four to five minutes a frequency."""
-
-    frequencies_hz: Annotated[
-        tuple[Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)], ...],
-        Field(min_length=1, max_length=8),
-    ]
-    procedure: Annotated[str, kinds.one_of(PROCEDURES)] = _BLOCK.procedure
-    trials: Annotated[int, Field(ge=5, le=200)] = USUAL.trials
-    catch_every: Annotated[kinds.Count, Field(le=200)] = USUAL.catch_every
-    practice: UpTo100 = _BLOCK.practice
-    duration_s: Annotated[float, Field(ge=0.1, le=2)] = _BLOCK.duration_s
-    gap_s: Annotated[kinds.NotNegative, Field(le=5)] = _BLOCK.gap_s
-    start_db: Level = USUAL.start_db
-    lowest_db: Level = USUAL.lowest_db
-    highest_db: Level = USUAL.highest_db
-
-    @model_validator(mode="after")
-    def _check_levels(self) -> Self:
-        kinds.check_distinct(tuple(name_tone(frequency) for frequency in self.frequencies_hz))
-        self.make_block()
-        return self
-
-    def make_block(self) -> ThresholdBlock:
-        """Make the block of a design; which refuses levels that are out of order."""
-        names = {"trials", "catch_every", "start_db", "lowest_db", "highest_db"}
-        plan = ThresholdPlan(**self.model_dump(include=names))
-        return ThresholdBlock(plan=plan, **self.model_dump(exclude=names))
-
-
-class MatchingTable(kinds.TomlTable):
-    """`[session.matching]`: stimuli matched in strength with the recording itself, before the trials."""
-
-    level: LevelName | None = None
-    repeats: Annotated[int, Field(ge=1, le=20)] = MatchingBlock("").repeats
-
-
-OwnProtocol = Annotated[str, kinds.own_or_one_of(OURS, "protocol", "protocols")]
-
-
-class SessionTable(kinds.TomlTable):
-    """`[session]`: what participants do."""
-
-    protocols: Annotated[tuple[OwnProtocol, ...], kinds.Some] = ("realism", "similarity")
-    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
-    recordings_per_participant: kinds.AtLeastOne | None = None
-    order: Annotated[str, kinds.one_of(ORDERS)] = "williams"
-    task_order: Annotated[str, kinds.one_of(TASK_ORDERS)] = TASK_ORDERS[0]
-    language: Annotated[str, AfterValidator(_check_language)] = "en"
-    consent: kinds.Words | None = None
-    lsl: bool = False
-    rehearsal: RehearsalTable = RehearsalTable()
-    breaks: BreaksTable = BreaksTable()
-    quality: QualityTable = QualityTable()
-    stale: StaleTable = StaleTable()
-    threshold: ThresholdTable | None = None
-    matching: MatchingTable | None = None
-    questions: Annotated[tuple[QuestionTable, ...], AfterValidator(_check_questions)] = ()
-
-
-def _check_task(name: str, info: ValidationInfo) -> str:
-    """Demand the name of one of feel321's protocols, or the short name of one of the study's own."""
-    session = (info.context or {}).get("session")
-    given = session.get("protocols") if isinstance(session, dict) else ()
-    return kinds.check_one_of(name, (*OURS, *name_protocols(given)))
-
-
-class TaskTable(kinds.TomlTable):
-    """`[tasks.NAME]`: how a protocol is used; what is left out is as the protocol has it."""
-
-    timing: kinds.Words | None = None
-    reference: kinds.Words | None = None
-    surface: bool = False
-    pairs: kinds.AtLeastOne | None = None
-    scales: tuple[kinds.Words, ...] = ()
-    gap_s: kinds.NotNegative | None = None
-    answer_timeout_s: kinds.Positive | None = None
-    onset_s: kinds.Positive | None = None
-
-    def make_task(self, name: str, *, training: int = 0, practice: int = 0) -> Task:
-        """Make the task of a design; which refuses what its protocol has not."""
-        return make_task(name, training=training, practice=practice, **self.model_dump())
-
+# Recordings.
 
 SCENE_RATE_HZ = 10000.0  # sampling rate of scenes; that of a file is what the file says
 _NOT_OF = {
@@ -312,7 +91,7 @@ class RecordingTable(kinds.TomlTable):
     full_scale: kinds.Positive | None = None
     resample: bool = False
     crop_s: tuple[kinds.Seconds, kinds.Seconds] | None = None
-    high_pass_hz: kinds.PositiveOrOff = None
+    high_pass_hz: kinds.Positive | None = None
     gain: Annotated[float, Field(ge=1e-6, le=1e6)] | None = None
 
     @model_validator(mode="after")
@@ -364,14 +143,7 @@ def _check_titles(recordings: tuple[RecordingTable, ...]) -> tuple[RecordingTabl
     return recordings
 
 
-class ConditioningTable(kinds.TomlTable):
-    """`[stimuli.conditioning]`: what is done to a recording before it is reduced."""
-
-    remove_offset: bool = _STEPS.remove_offset
-    high_pass_hz: kinds.PositiveOrOff = _STEPS.high_pass_hz
-    low_pass_hz: kinds.PositiveOrOff = _STEPS.low_pass_hz
-    crop_s: tuple[kinds.Seconds, kinds.Seconds] | None = _STEPS.crop_s
-
+# Stimuli.
 
 ACCEPT = "accept"
 BELOW_THRESHOLD = ("refuse", ACCEPT)
@@ -399,7 +171,20 @@ class StimuliTable(kinds.TomlTable):
     threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
     below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Distinct] = ()
-    conditioning: ConditioningTable = ConditioningTable()
+    conditioning: Conditioning = Conditioning()
+
+
+class RigTable(kinds.TomlTable):
+    """`[rig]`: what the stimuli are rendered for."""
+
+    rate_hz: kinds.Rate = _RECIPE.rate_hz
+    full_scale_m_s2: Annotated[kinds.Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
+    headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
+    certificate: Annotated[str, kinds.one_of(("warn", "require"))] = "warn"
+
+    def of_stimuli(self) -> dict[str, Any]:
+        """Return what decides what the stimuli are."""
+        return self.model_dump(exclude={"certificate"})
 
 
 class MethodTable(kinds.TomlTable):
@@ -417,7 +202,6 @@ class MethodTable(kinds.TomlTable):
 class ReducerTable(MethodTable):
     """`[reducers.NAME]`: a lab's own reducer."""
 
-    file: kinds.Words | None = None
     operations: str | float | None = None
     state: str | float | None = None
     latency: str | float | None = None
@@ -440,33 +224,195 @@ class MetricTable(MethodTable):
         return self
 
 
-class RigTable(kinds.TomlTable):
-    """`[rig]`: what the stimuli are rendered for."""
-
-    rate_hz: kinds.Rate = _RECIPE.rate_hz
-    full_scale_m_s2: Annotated[kinds.Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
-    headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
-    certificate: Annotated[str, kinds.one_of(("warn", "require"))] = "warn"
-
-    def of_stimuli(self) -> dict[str, Any]:
-        """Return what decides what the stimuli are."""
-        return self.model_dump(exclude={"certificate"})
+# Sessions.
 
 
-class StudyTable(kinds.TomlTable):
-    """`[study]`: name and seed."""
+class RehearsalTable(kinds.TomlTable):
+    """`[session.rehearsal]`: what comes before the trials that count."""
 
-    name: kinds.Words = ""  # the folder's, once the file is read
-    seed: kinds.Seed = 321
+    training: UpTo100 = 4
+    practice: UpTo100 = 2
+    pass_share: kinds.Share = _FLOW.training_pass
+    rounds: Annotated[int, Field(ge=1, le=100)] = _FLOW.training_rounds
 
 
-class AnalysisTable(kinds.TomlTable):
-    """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
+class BreaksTable(kinds.TomlTable):
+    """`[session.breaks]`: when the hand rests."""
 
-    metrics: Annotated[tuple[kinds.Words, ...], kinds.Some] = PLANNED
-    draws: Annotated[int, Field(ge=100, le=100_000)] = 2000
-    margin: Annotated[float, Field(gt=0, le=100)] | None = None
-    hypotheses: tuple[kinds.Words, ...] = ()
+    every_trials: kinds.AtLeastOne | None = _FLOW.break_trials
+    every_min: Annotated[kinds.Positive, Field(le=1440)] | None = _FLOW.break_min
+    break_s: UpToAnHour = _FLOW.break_s
+    rest_s: UpToAnHour = _FLOW.rest_s
+
+
+class QualityTable(kinds.TomlTable):
+    """`[session.quality]`: which trials are repeated."""
+
+    min_response_s: Annotated[kinds.NotNegative, Field(le=5)] = _FLOW.min_response_s
+    max_attempts: Annotated[int, Field(ge=1, le=100)] = _FLOW.max_attempts
+    reject: Annotated[tuple[Annotated[str, kinds.one_of(FLAGS)], ...], kinds.Distinct] = (
+        _FLOW.reject
+    )
+    gap_s: Annotated[kinds.NotNegative, Field(le=30)] = _FLOW.gap_s
+    level_error_db: kinds.Positive | None = _FLOW.level_error_db
+    min_coherence: kinds.Share = _FLOW.min_coherence
+
+
+class ThresholdTable(kinds.TomlTable):
+    """`[session.threshold]`: the detection threshold of each participant, at four to five minutes a frequency."""
+
+    frequencies_hz: Annotated[
+        tuple[Annotated[float, Field(ge=LOWEST_HZ, le=HIGHEST_HZ)], ...],
+        Field(min_length=1, max_length=8),
+    ]
+    procedure: Annotated[str, kinds.one_of(PROCEDURES)] = _BLOCK.procedure
+    trials: Annotated[int, Field(ge=5, le=200)] = USUAL.trials
+    catch_every: Annotated[kinds.Count, Field(le=200)] = USUAL.catch_every
+    practice: UpTo100 = _BLOCK.practice
+    duration_s: Annotated[float, Field(ge=0.1, le=2)] = _BLOCK.duration_s
+    gap_s: Annotated[kinds.NotNegative, Field(le=5)] = _BLOCK.gap_s
+    start_db: Level = USUAL.start_db
+    lowest_db: Level = USUAL.lowest_db
+    highest_db: Level = USUAL.highest_db
+
+    @model_validator(mode="after")
+    def _check_levels(self) -> Self:
+        kinds.check_distinct(tuple(name_tone(frequency) for frequency in self.frequencies_hz))
+        self.make_block()
+        return self
+
+    def make_block(self) -> ThresholdBlock:
+        """Make the block of a design; which refuses levels that are out of order."""
+        names = {"trials", "catch_every", "start_db", "lowest_db", "highest_db"}
+        plan = ThresholdPlan(**self.model_dump(include=names))
+        return ThresholdBlock(plan=plan, **self.model_dump(exclude=names))
+
+
+class MatchingTable(kinds.TomlTable):
+    """`[session.matching]`: stimuli matched in strength with the recording itself, before the trials."""
+
+    level: LevelName | None = None
+    repeats: Annotated[int, Field(ge=1, le=20)] = MatchingBlock("").repeats
+
+
+def _check_language(language: str) -> str:
+    if language not in (known := texts.list_languages()) and not language.endswith(LANGUAGE_FILE):
+        raise ValueError(
+            f'must be one of {", ".join(known)}, or a file beside study.toml such as "texts/fr.toml"'
+        )
+    return language
+
+
+def _check_questions(questions: tuple[texts.Question, ...]) -> tuple[texts.Question, ...]:
+    kinds.check_distinct(tuple(one.name for one in questions))
+    if len(questions) > (most := texts.MOST_QUESTIONS):
+        raise ValueError(f"must be at most {most} questions, got {len(questions)}")
+    return questions
+
+
+OwnProtocol = Annotated[str, kinds.own_or_one_of(OURS, "protocol", "protocols")]
+
+
+class SessionTable(kinds.TomlTable):
+    """`[session]`: what participants do."""
+
+    protocols: Annotated[tuple[OwnProtocol, ...], kinds.Some] = ("realism", "similarity")
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+    recordings_per_participant: kinds.AtLeastOne | None = None
+    order: Annotated[str, kinds.one_of(ORDERS)] = "williams"
+    task_order: Annotated[str, kinds.one_of(TASK_ORDERS)] = TASK_ORDERS[0]
+    language: Annotated[str, AfterValidator(_check_language)] = "en"
+    consent: kinds.Words | None = None
+    lsl: bool = False
+    rehearsal: RehearsalTable = RehearsalTable()
+    breaks: BreaksTable = BreaksTable()
+    quality: QualityTable = QualityTable()
+    stale: Stale = Stale()
+    threshold: ThresholdTable | None = None
+    matching: MatchingTable | None = None
+    questions: Annotated[tuple[texts.Question, ...], AfterValidator(_check_questions)] = ()
+
+
+def _check_task(name: str, info: ValidationInfo) -> str:
+    """Demand the name of one of feel321's protocols, or the short name of one of the study's own."""
+    session = (info.context or {}).get("session")
+    given = session.get("protocols") if isinstance(session, dict) else ()
+    return kinds.check_one_of(name, (*OURS, *name_protocols(given)))
+
+
+class TaskTable(kinds.TomlTable):
+    """`[tasks.NAME]`: how a protocol is used; what is left out is as the protocol has it."""
+
+    timing: kinds.Words | None = None
+    reference: kinds.Words | None = None
+    surface: bool = False
+    pairs: kinds.AtLeastOne | None = None
+    scales: tuple[kinds.Words, ...] = ()
+    gap_s: kinds.NotNegative | None = None
+    answer_timeout_s: kinds.Positive | None = None
+    onset_s: kinds.Positive | None = None
+
+    def make_task(self, name: str, *, training: int = 0, practice: int = 0) -> Task:
+        """Make the task of a design; which refuses what its protocol has not."""
+        return make_task(name, training=training, practice=practice, **self.model_dump())
+
+
+class ScaleTable(kinds.TomlTable):
+    """`[scales.NAME]`: a scale of the lab's own, or other words for one of feel321's."""
+
+    question: kinds.Words
+    low: kinds.Words
+    high: kinds.Words
+    anchors: tuple[kinds.Words, ...] = ()
+
+    @model_validator(mode="after")
+    def _check_ends(self) -> Self:
+        if self.low == self.high:
+            raise ValueError(f"low and high must differ, got {self.low!r} for both")
+        return self
+
+    def to_texts(self) -> dict[str, str | list[str]]:
+        """Return its texts as a language holds them."""
+        words = {"question": self.question, "low_label": self.low, "high_label": self.high}
+        return words | ({"anchors": list(self.anchors)} if self.anchors else {})
+
+
+# Groups of participants, and stations.
+
+MOST_GROUPS = 64
+"""A balanced design wants several participants in each group; more groups than this are a slip."""
+
+TAKEN = {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS, *RATING_COLUMNS} - set(CHOOSING)
+"""Names of columns: a factor becomes one of `participants.csv`, which is joined with `ratings.csv`."""
+
+
+def _check_factor(name: str) -> str:
+    """Demand a name that can head a column of its own."""
+    singular = name.casefold().removesuffix("s")
+    if name not in CHOOSING and singular in CHOOSING:
+        raise ValueError(f"must be {singular!r} or a label of your own")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
+        raise ValueError("must be up to 40 letters (A-Z), digits and _, beginning with a letter")
+    if name.casefold() in TAKEN or re.fullmatch(r"threshold_\w+hz", name.casefold()):
+        raise ValueError("must not be a column of participants.csv or ratings.csv; rename it")
+    return name
+
+
+def count_groups(between: Mapping[str, tuple[str, ...]]) -> int:
+    """Count the groups that factors make."""
+    return math.prod(len(levels) for levels in between.values())
+
+
+def _check_groups(between: dict[str, tuple[str, ...]]) -> dict[str, tuple[str, ...]]:
+    if (groups := count_groups(between)) > MOST_GROUPS:
+        raise ValueError(
+            f"there must be at most {MOST_GROUPS} groups, got {groups}; use fewer factors or levels"
+        )
+    return between
+
+
+Factor = Annotated[str, AfterValidator(_check_factor)]
+Levels = Annotated[tuple[kinds.Words, ...], kinds.Some]
 
 
 class StationsTable(kinds.TomlTable):
@@ -480,6 +426,15 @@ class StationsTable(kinds.TomlTable):
         if self.this > self.of:
             raise ValueError(f"this must be 1 to {self.of}, got {self.this}")
         return self
+
+
+class AnalysisTable(kinds.TomlTable):
+    """`[analysis]`: how ratings are related to metrics; chosen before they are seen."""
+
+    metrics: Annotated[tuple[kinds.Words, ...], kinds.Some] = PLANNED
+    draws: Annotated[int, Field(ge=100, le=100_000)] = 2000
+    margin: Annotated[float, Field(gt=0, le=100)] | None = None
+    hypotheses: tuple[kinds.Words, ...] = ()
 
 
 class Settings(kinds.TomlTable):
@@ -496,11 +451,17 @@ class Settings(kinds.TomlTable):
         default_factory=dict
     )
     scales: dict[Label, ScaleTable] = Field(default_factory=dict)
-    between: Annotated[
-        dict[Annotated[str, AfterValidator(_check_factor)], Levels], AfterValidator(_check_groups)
-    ] = Field(default_factory=dict)
+    between: Annotated[dict[Factor, Levels], AfterValidator(_check_groups)] = Field(
+        default_factory=dict
+    )
     observer: ObserverTable = ObserverTable()
     analysis: AnalysisTable = AnalysisTable()
     stations: StationsTable = StationsTable()
     paper: PaperTable | None = None
     publication: PublicationTable = PublicationTable()
+
+    def list_tasks(self) -> tuple[Task, ...]:
+        """List the tasks of a session."""
+        rounds = self.session.rehearsal.model_dump(include={"training", "practice"})
+        tables = {name: self.tasks.get(name, TaskTable()) for name in self.session.protocols}
+        return tuple(table.make_task(name, **rounds) for name, table in tables.items())

@@ -49,7 +49,6 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     "fit_mixed": lambda table: (analysis.fit_mixed("rating ~ spectral_match + (1 | participant)", table).fixed),
     "fit_primary": lambda table: analysis.fit_primary(table, METRICS).slopes,
     "profile_reducers": compare.profile_reducers,
-    "rank_metrics": lambda table: analysis.rank_metrics(table, METRICS, rng=make_rng()),
     "rater_model": analysis.rater_model,
     "screen_raters": lambda table: analysis.screen_raters(table).table,
 }  # fmt: skip

@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.power.simulate import Scenario
-from feel321.analysis.power.truth import PowerDesign, Truth
+from feel321.analysis.power.design import PowerDesign, Truth
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -25,19 +24,21 @@ def make_items(recordings: int, reducers: int, *, seed: int = 1) -> pd.DataFrame
     return pd.DataFrame({
         "recording": [f"scene{number}" for number in scene],
         "reducer": [f"way{number}" for number in kind],
+        "item": np.arange(len(scene)),
         **dict(zip(METRICS, values, strict=True)),
     })
 
 
-def make(own: tuple[int, int] = (6, 6), **changes: object) -> Scenario:
-    """Make a scenario of own recordings x reducers; changes go to the truth or to the design."""
+def make(own: tuple[int, int] = (6, 6), **changes: object) -> PowerDesign:
+    """Make a design of own recordings x reducers; changes go to its truth or to itself."""
     truth = {name: changes.pop(name) for name in list(changes) if name in Truth.__slots__}
     sizes = {"participants": 10, **changes}
-    design = PowerDesign(make_items(*own), METRICS, **sizes)
-    return Scenario(design, Truth(**{"slopes": {"spectral": 25.0}, **truth}))
+    return PowerDesign(
+        make_items(*own), METRICS, Truth(**{"slopes": {"spectral": 25.0}, **truth}), **sizes
+    )
 
 
 @pytest.fixture(scope="session")
-def make_scenario() -> Callable[..., Scenario]:
-    """Make scenarios."""
+def make_design() -> Callable[..., PowerDesign]:
+    """Make designs."""
     return make

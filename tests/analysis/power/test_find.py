@@ -1,12 +1,9 @@
-"""Power in closed form against brute force and simulation; simulations that are repeatable and can be interrupted."""
+"""Power in closed form against brute force and simulation; simulated studies have the planted truth."""
 
 from __future__ import annotations
 
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,32 +11,31 @@ import pytest
 from scipy.stats import binom, nct
 from scipy.stats import t as student
 
-from feel321 import analysis
 from feel321.analysis.power import simulate
 from feel321.analysis.power.closed import ClosedForm
-from feel321.analysis.power.plan import find_power, tabulate_shares
-from feel321.analysis.power.simulate import Scenario
+from feel321.analysis.power.plan import find_power
+from feel321.analysis.power.simulate import simulate_studies, tabulate_shares
+from feel321.jobs import Workers
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-    from pathlib import Path
 
-    from feel321.analysis.power.simulate import Stimuli
+    from feel321.analysis.power.design import PowerDesign, Stimuli
 
-    Make = Callable[..., Scenario]
+    Make = Callable[..., PowerDesign]
 
 STUDIES = 60
 FAR = 1e-4
 """Chance that a right share lies outside the limits of a test."""
 
 
-def find_covariance(scenario: Scenario, stimuli: Stimuli) -> np.ndarray:
+def find_covariance(design: PowerDesign, stimuli: Stimuli) -> np.ndarray:
     """Compute the covariance of the stimuli's mean ratings over people and repeats, (n_items, n_items)."""
-    truth, people = scenario.truth, scenario.design.participants
+    truth, people = design.truth, design.participants
     scene, kind = (np.eye(codes.max() + 1)[codes] for codes in (stimuli.scene, stimuli.kind))
-    noise = truth.person_item_sd**2 + truth.rating_sd**2 / scenario.design.repeats
-    own = stimuli.within * scenario.planted.slope_sds
-    theirs = stimuli.within * scenario.planted.recording_sds
+    noise = truth.person_item_sd**2 + truth.rating_sd**2 / design.repeats
+    own = stimuli.within * design.slope_sds
+    theirs = stimuli.within * design.recording_slope_sds
     found = (truth.item_sd**2 + noise / people) * np.eye(len(own))
     found += truth.person_sd**2 / people + own @ own.T / people
     found += (truth.recording_sd**2 + truth.person_recording_sd**2 / people) * (scene @ scene.T)
@@ -47,20 +43,20 @@ def find_covariance(scenario: Scenario, stimuli: Stimuli) -> np.ndarray:
     return found + (theirs @ theirs.T) * (scene @ scene.T)
 
 
-def test_closed_form_is_generalised_least_squares(make_scenario: Make) -> None:
+def test_closed_form_is_generalised_least_squares(make_design: Make) -> None:
     own = {"spectral": 9.0, "temporal": 4.0}
-    given = make_scenario(own=(5, 4), repeats=3, slope_sds=own, recording_slope_points=0.0)
-    stimuli, people = given.stimuli, given.design.participants
+    given = make_design(own=(5, 4), repeats=3, slope_sds=own, recording_slope_points=0.0)
+    stimuli, people = given.stimuli, given.participants
     columns = np.column_stack([stimuli.within, np.eye(5)[stimuli.scene]])
     truth = replace(given.truth, slope_sds=dict.fromkeys(own, 0.0))
-    spread = find_covariance(Scenario(given.design, truth), stimuli)
+    spread = find_covariance(replace(given, truth=truth), stimuli)
     covariance = np.linalg.inv(columns.T @ np.linalg.solve(spread, columns))[:2, :2]
     covariance += np.diag([81.0, 16.0]) / people
     for place in (0, 1):
         form = ClosedForm(given, place)
-        se, df = form.find_errors()
+        se, df = form.find_error()
         assert se**2 == pytest.approx(covariance[place, place], rel=1e-6)
-        limit = student.ppf(1 - given.design.level / 2, df)
+        limit = student.ppf(1 - given.level / 2, df)
         wanted = nct.sf(limit, df, 3) + nct.cdf(-limit, df, 3)
         assert form.find_power(3 * se) == pytest.approx(wanted, rel=1e-6)
         assert form.find_power(form.find_detectable()) == pytest.approx(0.8, abs=1e-6)
@@ -68,20 +64,20 @@ def test_closed_form_is_generalised_least_squares(make_scenario: Make) -> None:
 
 @pytest.mark.parametrize("own", [(4, 6), (11, 9)])
 def test_closed_form_knows_that_recordings_differ_in_their_slopes(
-    make_scenario: Make, own: tuple[int, int]
+    make_design: Make, own: tuple[int, int]
 ) -> None:
-    given = make_scenario(own=own, slope_points=0.0, recording_slope_points=3.0)
+    given = make_design(own=own, slope_points=0.0, recording_slope_points=3.0)
     stimuli, spread = given.stimuli, find_covariance(given, given.stimuli)
     columns = np.column_stack([stimuli.within, np.eye(own[0])[stimuli.scene]])
     best = np.linalg.inv(columns.T @ np.linalg.solve(spread, columns))[:2, :2]
     for place in (0, 1):
-        se, df = ClosedForm(given, place).find_errors()
+        se, df = ClosedForm(given, place).find_error()
         assert 1 <= se**2 / best[place, place] < 1.15
         assert df > own[0] - 1
 
 
-def test_power_grows_with_people_to_the_ceiling_that_stimuli_set(make_scenario: Make) -> None:
-    form = ClosedForm(make_scenario(), 0)
+def test_power_grows_with_people_to_the_ceiling_that_stimuli_set(make_design: Make) -> None:
+    form = ClosedForm(make_design(), 0)
     powers = [form.find_power(30.0, participants=people) for people in (4, 8, 16, 64, 1000)]
     assert powers == sorted(powers)
     assert powers[-1] < form.find_ceiling(30.0) < 1
@@ -92,26 +88,24 @@ def test_power_grows_with_people_to_the_ceiling_that_stimuli_set(make_scenario: 
     assert np.isnan(form.find_participants(slope / 3))
 
 
-def test_the_recordings_that_are_said_to_be_enough_are_enough(make_scenario: Make) -> None:
-    given = make_scenario(own=(4, 3), slopes={"spectral": 30.0}, participants=16)
-    number = int(find_power(given.design, given.truth, studies=0).table.loc[0, "recordings_needed"])
-    large = replace(given.design, recordings=number)
-    assert find_power(large, given.truth, studies=0).table.loc[0, "power"] >= 0.8
+def test_the_recordings_that_are_said_to_be_enough_are_enough(make_design: Make) -> None:
+    given = make_design(own=(4, 3), slopes={"spectral": 30.0}, participants=16)
+    number = int(find_power(given).table.loc[0, "recordings_needed"])
+    assert find_power(replace(given, recordings=number)).table.loc[0, "power"] >= 0.8
 
 
 @pytest.mark.parametrize(("own", "few"), [((3, 2), 2), ((5, 1), 1)])
 def test_what_the_report_refuses_has_no_power(
-    make_scenario: Make, own: tuple[int, int], few: int
+    make_design: Make, own: tuple[int, int], few: int
 ) -> None:
     """Two reducers do not show how reducers differ; one reducer leaves nothing."""
-    given = make_scenario(own=own, slopes={"spectral": 500.0})
-    power = find_power(given.design, given.truth, studies=0)
+    power = find_power(make_design(own=own, slopes={"spectral": 500.0}))
     assert power.table[["power", "ceiling", "detectable"]].isna().all(axis=None)
     assert f"cannot be tested: reducers number {few}, where 3 are needed" in " ".join(power.notes)
 
 
-def test_sets_without_a_test_count_as_no_power(make_scenario: Make) -> None:
-    given = make_scenario()
+def test_sets_without_a_test_count_as_no_power(make_design: Make) -> None:
+    given = make_design()
     twin = replace(given.stimuli, metrics=given.stimuli.metrics[:, [0, 0]])
     one, both = ClosedForm(given, 0), ClosedForm(given, 0)
     both.__dict__["sets"] = [given.stimuli, twin]
@@ -119,15 +113,17 @@ def test_sets_without_a_test_count_as_no_power(make_scenario: Make) -> None:
     assert np.isnan(both.find_detectable())
 
 
-def test_points_of_another_size_change_no_power(make_scenario: Make) -> None:
+def test_points_of_another_size_change_no_power(make_design: Make) -> None:
     """Everything in points times ten, where neither ends nor steps of the scale count."""
     free = {"bounded": False, "step": 0.0}
-    one = make_scenario(**free)
+    one = make_design(**free)
     names = [name for name in one.truth.__dataclass_fields__ if name.endswith("_sd")]
     names += ["slope_points", "recording_slope_points"]
     points = {name: 10 * getattr(one.truth, name) for name in names}
-    ten = make_scenario(**free, **points, slopes={"spectral": 250.0})
-    small, large = (find_power(case.design, case.truth, studies=6).table for case in (one, ten))
+    ten = make_design(**free, **points, slopes={"spectral": 250.0})
+    small, large = (
+        find_power(case, partial(simulate_studies, studies=6)).table for case in (one, ten)
+    )
     factors = {"power": 1, "ceiling": 1, "se": 10, "detectable": 10, "simulated": 1}
     for column, factor in factors.items():
         assert (small[column] * factor).tolist() == pytest.approx(large[column].tolist(), rel=1e-6)
@@ -135,10 +131,10 @@ def test_points_of_another_size_change_no_power(make_scenario: Make) -> None:
 
 @pytest.mark.parametrize("slope", [45.0, 0.0])
 def test_simulated_studies_have_the_power_of_the_closed_form_and_few_false_positives(
-    make_scenario: Make, slope: float
+    make_design: Make, slope: float
 ) -> None:
-    case = make_scenario(slopes={"spectral": slope}, participants=10)
-    row = find_power(case.design, case.truth, studies=STUDIES, seed=5).table.loc[0]
+    case = make_design(slopes={"spectral": slope}, participants=10)
+    row = find_power(case, partial(simulate_studies, studies=STUDIES, seed=5)).table.loc[0]
     expected = max(row["power"], 0.025)
     low, high = expected - 0.06, expected + 0.06  # how far the closed form is known
     assert row["tests"] == STUDIES
@@ -161,85 +157,23 @@ def test_shares_are_those_of_a_loop_over_studies() -> None:
     assert table["simulated"].tolist() == pytest.approx((hits / table["tests"]).tolist())
 
 
-def test_studies_are_kept_whole_and_alike_for_any_number_of_workers(
-    make_scenario: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_studies_are_alike_for_any_number_of_workers_and_a_longer_simulation_is_more_of_them(
+    make_design: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(simulate, "CHUNK", 4)
-    given = make_scenario(own=(4, 4), participants=4, recordings=5)
-    folders = [tmp_path / name for name in ("one", "two")]
-    found = [
-        find_power(given.design, given.truth, studies=8, workers=count, keep=folder)
-        for count, folder in zip((1, 2), folders, strict=True)
-    ]
-    one, two = ({file.name: file.read_bytes() for file in folder.iterdir()} for folder in folders)
-    assert len(one) == 2
-    assert one == two
-    assert found[0].table.equals(found[1].table)
-    # What is damaged is computed anew; another truth is not taken for this one, a longer simulation is more of it.
-    for content in (b"", b"[]", next(iter(one.values()))[:-9]):
-        (folders[0] / next(iter(one))).write_bytes(content)
-        again = find_power(given.design, given.truth, studies=8, keep=folders[0])
-        assert again.table.equals(found[0].table)
-    find_power(given.design, replace(given.truth, rating_sd=1.0), studies=4, keep=folders[0])
-    assert len(list(folders[0].iterdir())) == 3
-    longer = find_power(given.design, given.truth, studies=10, keep=folders[0])
-    assert longer.table["tests"].tolist() == [10, 10]
-    assert one.items() <= {file.name: file.read_bytes() for file in folders[0].iterdir()}.items()
-
-
-PROGRAM = """
-import sys
-import pandas as pd
-from feel321 import analysis
-from feel321.analysis.power import simulate
-from feel321.analysis.power.plan import find_power
-simulate.CHUNK = 4
-design = analysis.PowerDesign(pd.read_csv(sys.argv[1]), ["spectral", "temporal"], participants=4)
-print(find_power(design, analysis.Truth({"spectral": 25.0}), studies=32, keep=sys.argv[2]).table.to_csv())
-"""
-
-
-@pytest.mark.parametrize(
-    "how", [signal.SIGINT, pytest.param(signal.SIGKILL, marks=pytest.mark.soak)]
-)
-def test_a_killed_simulation_goes_on_where_it_was(
-    make_scenario: Make, tmp_path: Path, how: signal.Signals
-) -> None:
-    make_scenario(own=(3, 3)).design.items.to_csv(tmp_path / "items.csv", index=False)
-    folder, words = tmp_path / "kept", [sys.executable, "-c", PROGRAM, str(tmp_path / "items.csv")]
-    process = subprocess.Popen(
-        [*words, str(folder)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    given = make_design(own=(4, 4), participants=4, recordings=5)
+    one, two, longer = (
+        simulate_studies(given, studies=studies, seed=2, workers=Workers(count))
+        for studies, count in ((8, 1), (8, 2), (10, 1))
     )
-    while process.poll() is None and len(list(folder.glob("*.json"))) < 2:
-        time.sleep(0.02)
-    process.send_signal(how)
-    assert process.wait() != 0
-    kept = {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in folder.glob("*.json")}
-    assert 2 <= len(kept) < 8
-    again, whole = (
-        subprocess.run([*words, str(place)], capture_output=True, check=True)
-        for place in (folder, tmp_path / "whole")
-    )
-    assert again.stdout == whole.stdout
-    assert all((file.read_bytes(), file.stat().st_mtime_ns) == one for file, one in kept.items())
+    assert np.array_equal(one, two)
+    assert np.array_equal(one, longer[:8])
+    other = replace(given, truth=replace(given.truth, rating_sd=1.0))
+    assert not np.isclose(simulate_studies(other, studies=4, seed=2), one[:4]).all()
 
 
-def test_pilot_data_give_the_spreads(make_scenario: Make) -> None:
-    given = make_scenario(own=(12, 10), participants=40, repeats=4, step=0.0, bounded=False)
-    ratings = simulate.draw_ratings(given, given.stimuli, np.random.default_rng(8))
-    table = simulate.tabulate_ratings(given.stimuli, ratings[0], given.design.metrics)
-    primary = analysis.fit_primary(table, given.design.metrics, explain=False)
-    truth = analysis.Truth.from_fit(primary, repeats=4, rating_sd=12.5, mean=60.0)
-    assert truth.slopes["spectral"] == pytest.approx(25, abs=20)
-    assert (truth.mean, truth.rating_sd) == (60.0, 12.5)
-    for name in ("item_sd", "person_sd", "person_recording_sd", "person_item_sd"):
-        assert getattr(truth, name) == pytest.approx(getattr(given.truth, name), rel=0.35)
-    one = find_power(given.design, analysis.Truth.from_fit(primary), studies=0).table.loc[0]
-    assert one["se"] == pytest.approx(primary.slopes.loc["spectral", "se"], rel=0.05)
-
-
-def test_larger_designs_use_every_recording_about_as_often(make_scenario: Make) -> None:
-    given = make_scenario(own=(5, 4), recordings=12, reducers=3)
+def test_larger_designs_use_every_recording_about_as_often(make_design: Make) -> None:
+    given = make_design(own=(5, 4), recordings=12, reducers=3)
     drawn = [given.draw(np.random.default_rng(seed)) for seed in range(12)]
     own = given.stimuli.metrics[:, 0].reshape(5, 4)
     for stimuli in drawn:
@@ -250,7 +184,7 @@ def test_larger_designs_use_every_recording_about_as_often(make_scenario: Make) 
     assert len({hash(stimuli.metrics.tobytes()) for stimuli in drawn}) > 6
 
 
-def test_drawn_ratings_have_the_planted_spreads_and_slopes(make_scenario: Make) -> None:
+def test_drawn_ratings_have_the_planted_spreads_and_slopes(make_design: Make) -> None:
     """Each spread is planted alone and found again in means that nothing else can move."""
     where = {
         "person_sd": (1,), "item_sd": (2,), "person_item_sd": (1, 2), "rating_sd": (1, 2, 3),
@@ -259,47 +193,26 @@ def test_drawn_ratings_have_the_planted_spreads_and_slopes(make_scenario: Make) 
     own = ("slope_points", "recording_slope_points")
     none = dict.fromkeys((*spreads, *where, *own), 0.0) | {"slopes": {}, "bounded": False}
     for name, axes in where.items():
-        given = make_scenario(participants=60, repeats=4, **(none | {name: 4.0, "step": 0.0}))
+        given = make_design(participants=60, repeats=4, **(none | {name: 4.0, "step": 0.0}))
         ratings = simulate.draw_ratings(given, given.stimuli, np.random.default_rng(2))
         others = tuple(set(range(1, 4)) - set(axes))
         found = ratings.mean(axis=others) if others else ratings
         assert np.std(found) == pytest.approx(4.0, rel=0.35 if name == "item_sd" else 0.25)
         if others:
             assert np.ptp(ratings, axis=others).max() < 1e-9
-    slopes = make_scenario(**(none | {"slopes": {"spectral": 30.0}, "step": 0.0}))
+    slopes = make_design(**(none | {"slopes": {"spectral": 30.0}, "step": 0.0}))
     planted = simulate.draw_ratings(slopes, slopes.stimuli, np.random.default_rng(2))
     metric = slopes.stimuli.metrics[:, 0]
     assert planted[0, 0, :, 0] == pytest.approx(50 + 30 * (metric - metric.mean()))
 
 
-def test_people_use_the_scale_as_the_truth_says(make_scenario: Make) -> None:
-    careless = {"straight_liners": 0.2, "random_clickers": 0.2, "scale_reversers": 0.2}
-    given = make_scenario(participants=400, repeats=2, mean=85.0, **careless)
+def test_ratings_have_the_ends_and_steps_of_the_scale(make_design: Make) -> None:
+    given = make_design(participants=400, mean=85.0, person_sd=40.0)
     ratings = simulate.draw_ratings(given, given.stimuli, np.random.default_rng(4))
     assert (ratings.min(), ratings.max()) == (0.0, 100.0)
     assert np.abs(ratings * 10 - np.round(ratings * 10)).max() < 1e-6
-    own = ratings[0].reshape(400, -1)
-    straight = own.std(axis=1) < 2
-    reverse = own.mean(axis=1) < 32
-    assert straight.mean() == pytest.approx(0.2, abs=0.07)
-    assert (reverse & ~straight).mean() == pytest.approx(0.2, abs=0.08)
 
 
-def test_designs_and_truths_that_cannot_be_are_refused(make_scenario: Make) -> None:
-    given = make_scenario()
-    items = given.design.items
-    for record, change, why in (
-        (given.design, {"participants": 2}, "participants must be 3 or more, got 2"),
-        (given.design, {"repeats": 0}, "repeats must be 1 or more"),
-        (given.design, {"metrics": ("spectral", "none")}, "column none is missing"),
-        (given.design, {"items": items.iloc[[0, 0]]}, "once more"),
-        (given.design, {"items": items.assign(spectral=np.nan)}, "36 without"),
-        (given.design, {"wanted": 1.0}, "wanted"),
-        (given.truth, {"item_sd": -1.0}, "item_sd must be 0 or more"),
-        (given.truth, {"lapse_rate": 2.0}, "lapse_rate.* must be from 0 to 1"),
-        (given.truth, {"random_clickers": 0.6, "straight_liners": 0.6}, "at most 1 together"),
-    ):
-        with pytest.raises(ValueError, match=why):
-            replace(record, **change)
-    with pytest.raises(ValueError, match="got 'other'"):
-        find_power(given.design, analysis.Truth({"other": 1.0}), studies=0)
+def test_a_power_that_is_no_aim_is_refused(make_design: Make) -> None:
+    with pytest.raises(ValueError, match=r"wanted must be between 0\.05 and 1, got 1\.0"):
+        make_design(wanted=1.0)

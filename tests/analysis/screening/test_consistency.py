@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.screening.consistency import find_apart, rater_model
+from feel321.analysis.consistency import find_apart, rater_model
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from feel321.analysis.screening.rules import multimodality, tukey_fences, tukey_hinges
+from feel321.analysis.screening import multimodality, tukey_fences, tukey_hinges
 
 
 @pytest.mark.parametrize(

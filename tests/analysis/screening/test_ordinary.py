@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.screening.rules import RULES, SIGHTED
-from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.screening import RULES, SIGHTED, screen_raters
 
 RECORDINGS, REDUCERS, PEOPLE = 6, 5, 16
 REFERENCE = {"realism": 78.0, "similarity": 84.0, "mushra": 97.0}

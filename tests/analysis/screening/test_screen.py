@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.agreement import intraclass, krippendorff_alpha
-from feel321.analysis.screening.rules import EXPERTISE, RULES
-from feel321.analysis.screening.screen import screen_raters
+from feel321.analysis.screening import EXPERTISE, RULES, screen_raters
 
 if TYPE_CHECKING:
     from collections.abc import Callable

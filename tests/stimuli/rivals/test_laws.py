@@ -7,7 +7,7 @@ import pytest
 
 from feel321.names import METRIC_INFO
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.rivals import RIVALS, measure_batch
+from feel321.stimuli.rivals import RIVALS
 from feel321.stimuli.rotation import random_rotations
 
 RATE = 4000.0
@@ -39,17 +39,6 @@ def test_a_signal_is_a_perfect_match_of_itself(name: str) -> None:
     signal = make_burst()
     assert measure(name, on_one_axis(signal), signal) == pytest.approx(perfect(name), abs=1e-9)
     assert measure(name, on_one_axis(signal), -signal) == pytest.approx(perfect(name), abs=1e-9)
-
-
-@EVERY
-def test_batches_are_measured_as_one_by_one(name: str) -> None:
-    recordings = np.random.default_rng(0).standard_normal((2, 2, 3, 1500))
-    reduced = recordings[..., 0, :] + recordings[..., 1, :]
-    found = measure_batch(recordings, reduced, RATE)[name]
-    assert found.shape == (2, 2)
-    for place in np.ndindex(2, 2):
-        alone = measure(name, recordings[place], reduced[place])
-        assert alone == pytest.approx(found[place], rel=1e-9, abs=1e-9)
 
 
 @EVERY

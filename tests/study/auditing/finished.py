@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.protocols.texts import write_copy
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import lab
 from feel321.study.actuator.certificate import make_manual, write_certificate
@@ -37,7 +36,12 @@ frequencies_hz = [160.0]
 trials = 10
 practice = 0
 [[session.questions]]
-use = "demographics"
+name = "age"
+kind = "number"
+question = "How old are you?"
+low = 5
+high = 120
+personal = true
 [analysis]
 draws = 100
 [metrics.strict]
@@ -71,11 +75,10 @@ peak_m_s2 = 500.0
 rms_m_s2 = 200.0
 duration_s = 30.0
 [sensor]
-channel = 1
+channels = [1, 2, 3]
 full_scale_m_s2 = 1000.0
 [simulation]
 speed = 20.0
-sensor_direction = [0, 0, 1]
 [[simulation.coils]]
 name = "coil"
 resonance_hz = 0.5
@@ -92,7 +95,7 @@ def make_simulated(path: Path) -> StudyFolder:
     """Three simulated participants with thresholds, questions, own texts and a rule; analysed."""
     study = create_study(path)
     study.settings.write_text(SETTINGS, encoding="utf-8")
-    (path / "texts.toml").write_text(write_copy("en"), encoding="utf-8")
+    (path / "texts.toml").write_text('# Ours.\nlanguage = "en"\n', encoding="utf-8")
     (path / "methods").mkdir(exist_ok=True)
     (path / "methods" / "strict.py").write_text(RULE, encoding="utf-8")
     build_study(study)

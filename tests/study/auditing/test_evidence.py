@@ -64,7 +64,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> StudyFolder:
     study = StudyFolder(tmp_path_factory.mktemp("whole") / "study")
     study.path.mkdir()
     study.settings.write_text(SMALLEST_STUDY, encoding="utf-8")
-    build_study(study, page=False)
+    build_study(study)
     simulate(study, 2)
     return study
 
@@ -142,7 +142,7 @@ def build_otherwise(study: StudyFolder) -> None:
     study.path.mkdir()
     for duration in ("0.1", "0.12"):
         study.settings.write_text(SMALLEST_STUDY.replace("0.1", duration), encoding="utf-8")
-        build_study(study, page=False)
+        build_study(study)
         seal(study, "the beginning")
     simulate(study, 2)
 

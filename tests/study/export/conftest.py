@@ -44,7 +44,13 @@ glove = ["none", "thin"]
 training = 0
 practice = 0
 [[session.questions]]
-use = "demographics"
+name = "age"
+kind = "number"
+question = "How old are you?"
+low = 5
+high = 120
+personal = true
+required = false
 [[session.questions]]
 name = "tired"
 kind = "likert"

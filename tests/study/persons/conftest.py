@@ -111,7 +111,22 @@ def now() -> Callable[[], datetime]:
     return tell_time
 
 
-ASKING = '[[session.questions]]\nuse = "demographics"\n'
+ASKING = """
+[[session.questions]]
+name = "age"
+kind = "number"
+question = "How old are you?"
+low = 5
+high = 120
+personal = true
+required = false
+[[session.questions]]
+name = "hand"
+kind = "choice"
+question = "Which hand?"
+options = ["left", "right"]
+personal = true
+"""
 
 
 def copy_study(made: StudyFolder, folder: Path) -> StudyFolder:

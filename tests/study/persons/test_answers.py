@@ -6,7 +6,6 @@ import csv
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from feel321.protocols.texts import READY
 from feel321.study.auditing.study import audit_study
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import withdraw_participant
@@ -23,7 +22,19 @@ question = "How rough did it feel?"
 low = "Smooth"
 high = "Rough"
 [[session.questions]]
-use = "demographics"
+name = "age"
+kind = "number"
+question = "How old are you?"
+low = 5
+high = 120
+personal = true
+required = false
+[[session.questions]]
+name = "hand"
+kind = "choice"
+question = "Which hand?"
+options = ["left", "right"]
+personal = true
 """
 
 
@@ -49,7 +60,7 @@ def test_scales_and_answers_from_session_to_table(smallest: StudyFolder) -> None
     }
     assert by_scale["roughness"] != by_scale["realism"]
     answers = read(smallest, ANSWERS_FILE)
-    assert [row["question"] for row in answers] == [*READY["demographics"]] * 2
+    assert [row["question"] for row in answers] == ["age", "hand"] * 2
     assert {row["personal"] for row in answers} == {"true"}
     assert all(5 <= float(row["answer"]) <= 120 for row in answers if row["question"] == "age")
     before = (smallest.path / ANSWERS_FILE).read_bytes()

@@ -44,7 +44,7 @@ def make_study(folder: Path, text: str = STUDY) -> StudyFolder:
 @pytest.fixture(scope="session")
 def built(make_once: Callable[[str, Callable[[Path], object]], Path]) -> StudyFolder:
     """The same, built once; tests read it, and write elsewhere."""
-    folder = make_once("power", lambda path: build_study(make_study(path), page=False))
+    folder = make_once("power", lambda path: build_study(make_study(path)))
     return StudyFolder(folder / "study")
 
 

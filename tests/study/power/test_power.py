@@ -9,7 +9,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from feel321.analysis.power.plan import find_row
+from feel321.analysis.power.design import SIZES
 from feel321.jobs import ALONE
 from feel321.study import cli, power
 from feel321.study.folder import StudyFolder, create_study
@@ -21,17 +21,24 @@ METRICS = ("spectral_match_bounded", "temporal_match")
 GRID = ["--participants", "6,12", "--recordings", "4,8", "--reducers", "5", "--repeats", "1"]
 
 
-def plan(task: PowerTask, folder: Path, **more: Any) -> StudyPower:
-    sizes = {name: more.pop(name) for name in power.SIZES if name in more}
+def plan(task: PowerTask, **more: Any) -> StudyPower:
+    sizes = {name: more.pop(name) for name in SIZES if name in more}
     options = {"studies": 0, "workers": ALONE, "progress": lambda _d, _a: None, **more}
-    return power.plan_study(task, sizes, keep=folder, **options)
+    return power.plan_study(task, sizes, **options)
+
+
+def find_row(found: StudyPower) -> pd.Series:
+    """Find what is known of the hypothesis that the answer is about, in the design that is shown."""
+    shown = found.plan.shown
+    return shown.table.iloc[shown.design.hypotheses.index(found.plan.hypothesis)]
 
 
 def plant(task: PowerTask, points: float) -> PowerTask:
     """Plant one slope of both metrics, in points per +0.1."""
     effects = task.effects.assign(points=points, source=power.GIVEN)
     slopes = {f"{one}/{two}": points * 10 for one, two in task.design.hypotheses}
-    return replace(task, effects=effects, truth=replace(task.truth, slopes=slopes))
+    truth = replace(task.design.truth, slopes=slopes)
+    return replace(task, effects=effects, design=replace(task.design, truth=truth))
 
 
 def test_verb_writes_page_tables_and_json_that_agree(
@@ -79,32 +86,28 @@ def test_bad_values_get_one_line(
     assert said in found.err
 
 
-def test_strong_slopes_need_few_people_and_weak_ones_have_a_reason(
-    task: PowerTask, tmp_path: Path
-) -> None:
+def test_strong_slopes_need_few_people_and_weak_ones_have_a_reason(task: PowerTask) -> None:
     sizes = {"participants": (8, 16, 32), "recordings": (12,), "reducers": (5,), "repeats": (1,)}
-    strong = plan(plant(task, 15.0), tmp_path, studies=8, seed=3, **sizes)
-    best, row = strong.plan.recommended, find_row(strong.plan)
+    strong = plan(plant(task, 15.0), studies=8, seed=3, **sizes)
+    best, row = strong.plan.recommended, find_row(strong)
     assert strong.answer.startswith(f"Plan {best.participants} participants, ")
-    assert row["simulated_low"] < 1 >= row["power"] >= strong.plan.wanted
-    weak = plan(plant(task, 0.3), tmp_path, participants=(8, 16, 32))
+    assert row["simulated_low"] < 1 >= row["power"] >= best.wanted
+    weak = plan(plant(task, 0.3), participants=(8, 16, 32))
     assert weak.plan.recommended is None
     assert weak.plan.verdict in {"ceiling", "too small"}
-    enough = plan(plant(task, find_row(weak.plan)["detectable"] * 0.1 * 1.05), tmp_path)
-    assert enough.plan.table.query("kind == 'given'")["power"].iloc[0] > enough.plan.wanted
-    assert plan(plant(task, 0.0), tmp_path).plan.verdict == "nothing planted"
+    enough = plan(plant(task, find_row(weak)["detectable"] * 0.1 * 1.05))
+    assert enough.plan.table.query("kind == 'given'")["power"].iloc[0] > task.design.wanted
+    assert plan(plant(task, 0.0)).plan.verdict == "nothing planted"
 
 
-def test_answer_is_for_the_given_slopes_and_one_scale_goes_first(
-    built: StudyFolder, tmp_path: Path
-) -> None:
+def test_answer_is_for_the_given_slopes_and_one_scale_goes_first(built: StudyFolder) -> None:
     task = power.set_up(built, effects={"realism/temporal_match": 9.0, "temporal_match": 8.0})
     points = task.effects.set_index(["attribute", "metric"])["points"].to_dict()
     assert points == {
         ("realism", METRICS[0]): pytest.approx(4.5), ("similarity", METRICS[0]): pytest.approx(4.5),
         ("realism", METRICS[1]): 9.0, ("similarity", METRICS[1]): 8.0,
     }  # fmt: skip
-    found = plan(task, tmp_path, participants=12)
+    found = plan(task, participants=12)
     assert found.plan.hypothesis == ("similarity", "temporal_match")
     assert any("Slopes without --effect" in note for note in found.task.notes)
 
@@ -123,9 +126,10 @@ def test_pilot_recovers_the_planted_spreads(built: StudyFolder, tmp_path: Path, 
     simulate_study(pilot, participants=30, seed=11, now=now)
     shutil.copyfile(pilot.ratings, tmp_path / "pilot.csv")
     found = power.set_up(built, pilot=tmp_path / "pilot.csv", effects={"temporal_match": 2.0})
-    assert found.truth.person_sd == pytest.approx(12.0, rel=0.35)
-    assert found.truth.rating_sd == pytest.approx(8.0, rel=0.1)
-    assert found.truth.item_sd < 2.0
-    assert "30 people's ratings in pilot.csv" in found.truth.source
+    truth = found.design.truth
+    assert truth.person_sd == pytest.approx(12.0, rel=0.35)
+    assert truth.rating_sd == pytest.approx(8.0, rel=0.1)
+    assert truth.item_sd < 2.0
+    assert "30 people's ratings in pilot.csv" in truth.source
     assert any("not from people" in note for note in found.notes)
-    assert found.truth.find_slope("realism", "temporal_match") == pytest.approx(20.0)
+    assert truth.find_slope("realism", "temporal_match") == pytest.approx(20.0)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.tasks import PROTOCOLS
-from feel321.protocols.texts import Question, read_ready, read_texts
+from feel321.protocols.texts import Question, read_texts
 from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import MATCHING, THRESHOLD, Judgement, Page, Part, Scale, Trial
 from feel321.study.screen.input import View, make_screen_texts
@@ -74,12 +74,21 @@ def make_trial(name: str, *, timing: str = "", rows: int = 12) -> Trial:
     )
 
 
-def make_questions(texts: dict) -> list[Question]:
-    """The ready questions of a language, and the largest of each kind."""
+def make_questions() -> list[Question]:
+    """Usual questions, and the largest of each kind."""
     agree = [f"{word} agree" for word in ("Do not", "Hardly", "Rather", "Mostly", "Strongly")]
     long = "What did you think of while you felt the vibrations, and did anything disturb you? " * 2
     return [
-        *read_ready("demographics", texts),
+        Question(
+            "age", "number", "How old are you, in years?", low=5.0, high=120.0, required=False
+        ),
+        Question(
+            "hand",
+            "choice",
+            "Which hand do you write with?",
+            ("Right", "Left", "Either"),
+            required=False,
+        ),
         Question("many", "choice", long, tuple(f"The answer number {n}" for n in range(1, 10))),
         Question("agree", "likert", "It felt as if I touched the board.", tuple(agree)),
         Question("ends", "likert", "How tired is your hand?", ("Not at all", *[""] * 7, "Very")),
@@ -107,7 +116,7 @@ def make_views(
         page = Page(key, 60.0 if left_s else 0.0, by)
         view = show("page", "reading", number, page=page, left_s=left_s, notice=notice)
         views[f"page {key}"] = view
-    for number, question in enumerate(make_questions(texts)):
+    for number, question in enumerate(make_questions()):
         filled = {"typed": "9" * 500 if question.kind == "text" else "99", "chosen": "1"}
         view = show("page", "reading", 40 + number, page=Page(question.key), question=question)
         views[f"question {question.name} open"] = view

@@ -9,12 +9,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from feel321.study.actuator.rig import Rig
 from feel321.study.cli import main
 from feel321.study.settings import schema
+from feel321.study.settings.fields import list_fields, list_tables
 
 UNBOUNDED = {
     "stimuli.gain": "has bounds of its own, and words",
@@ -28,8 +29,8 @@ def list_numbers(
     kind: object, rules: list[object], place: tuple[str, ...], above: frozenset[object]
 ) -> Iterator[tuple[str, type, list[object]]]:
     """The numbers of a settings table and of those below it, with their rules."""
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        for name, field in () if kind in above else kind.model_fields.items():
+    if kind in list_tables(kind):
+        for name, field in () if kind in above else list_fields(kind).items():
             yield from list_numbers(
                 field.annotation, list(field.metadata), (*place, name), above | {kind}
             )

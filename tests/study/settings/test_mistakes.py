@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from feel321.study.settings.read import find_conflicts, read_settings
+from feel321.study.settings.conflicts import find_conflicts
+from feel321.study.settings.read import read_settings
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
 TWO = '[[recordings]]\nscene = "bumps"\nsample = "ridges"\n[[recordings]]\nscene = "hard_taps"\n'
@@ -63,13 +64,19 @@ ADDED = (
     ("[between]; Rating = ['a']", "Rating must not be a column of participants.csv or ratings.csv"),
     ("[stations]; this = 3; of = 2", "stations: this must be 1 to 2, got 3"),
     ("[publication]; released = 'May'", "publication.released must be a day such as '2026-11-23'"),
-    ("[[session.questions]]; name = 'q'", "session.questions[1]: kind is missing; add it"),
+    (
+        "[[session.questions]]; name = 'q'; kind = 'text'",
+        "session.questions[1].question: missing; add",
+    ),
+    (
+        f"{ASK}kind = 'text'; personel = true",
+        "questions[1].personel: unknown setting; did you mean p",
+    ),
     (f"{ASK}kind = 'choise'", "session.questions[1].kind must be one of choice, number, text, l"),
     (f"{ASK}kind = 'choice'", "session.questions[1]: options must be 2 to 9 texts for kind"),
     (f"{ASK}kind = 'text'; high = 3", "low and high must not be numbers for kind 'text'"),
     (f"{ASK}kind = 'number'; low = 'never'", "session.questions[1].low must be a valid number"),
     (f"{ASK}kind = 'text'; {ASK}kind = 'text'", "must hold each name once; more than once: q"),
-    ("[[session.questions]]; use = 'demographics'; personal = false", "brings its own questions"),
     (f"{ROUGH}[tasks.realism]; scales = ['realism', 'roughnes']", "did you mean 'roughness'? Or"),
     (f"{ROUGH}[tasks.realism]; scales = ['roughness']", "tasks.realism.scales must hold 'realism'"),
     (f"{ROUGH}[tasks.abx]; scales = ['abx', 'roughness']", "tasks.abx.scales must be left out"),
@@ -79,10 +86,20 @@ ADDED = (
     ("[tasks.mushra]; onset_s = 9", "tasks.mushra.onset_s must not be set: parts are felt at"),
     (f"{CLAIM}measure = 'slope'; expect = 'near'", "must give the paper's low and high"),
     (f"{CLAIM}measure = 'slop'", "did you mean 'slope'"),
-    (f"{CLAIM}measure = 'slope'; options = {{ recordng = 'r1' }}", "did you mean recording?"),
+    (f"{CLAIM}measure = 'slope'; options = {{ recordng = 'r1' }}", "did you mean 'recording'?"),
     (
         f"{CLAIM}measure = 'slope'; options = {{ among = 'mag321' }}",
-        "options.among must be a valid",
+        "options.among must be a list of names, got 'mag321'",
+    ),
+    ("[session.stale]; policy = 'wait'", "session.stale.policy must be one of warm_up, continue,"),
+    ("[session.stale]; after_h = 'never'", 'after_h must be a valid number or "off", got'),
+    (
+        "[stimuli.conditioning]; low_pass = 9.0",
+        "conditioning.low_pass: unknown setting; did you mean",
+    ),
+    (
+        "[stimuli.conditioning]; low_pass_hz = 9.0",
+        "high_pass_hz must be below low_pass_hz, 9.0; got",
     ),
     (
         f"{CLAIM}measure = 'slope'; paper = {{ value = 0.5, low = 0.6, high = 0.8 }}",

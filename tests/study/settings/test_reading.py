@@ -12,14 +12,7 @@ import pytest
 from pydantic import ValidationError
 
 from feel321.protocols.tasks import make_task
-from feel321.protocols.texts import (
-    CATALOG,
-    READY,
-    Question,
-    list_languages,
-    make_scales,
-    read_texts,
-)
+from feel321.protocols.texts import CATALOG, Question, make_scales, read_texts
 from feel321.protocols.trial import Flow
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.recording import Recording
@@ -119,7 +112,7 @@ def test_the_defaults_of_the_list_are_those_that_hold(read: Callable[[str], Sett
 def test_defaults_are_those_of_the_rules_and_the_observer(read: Callable[[str], Settings]) -> None:
     settings = read(SHORTEST)
     design = make_design(settings)
-    assert (design.flow, Stale(**settings.session.stale.model_dump())) == (Flow(), Stale())
+    assert (design.flow, settings.session.stale) == (Flow(), Stale())
     tasks = [make_task(name, training=4, practice=2) for name in ("realism", "similarity")]
     assert design.tasks == tuple(tasks)
     assert settings.analysis.metrics[0] == ObserverModel().spectral_metric
@@ -162,7 +155,7 @@ def test_every_setting_of_the_session_reaches_the_design(read: Callable[[str], S
         flow=flow,
         questions=(Question("n", "number", "N", **asked),),
     )
-    assert Stale(**settings.session.stale.model_dump()) == Stale(after_h=None, policy="restart")
+    assert settings.session.stale == Stale(after_h=None, policy="restart")
 
 
 STIMULI = """[study]; seed = 4
@@ -267,22 +260,6 @@ def test_surfaces_are_found_by_the_names_that_trials_know_them_by(study: StudyFo
     }
 
 
-@pytest.mark.parametrize("language", list_languages())
-def test_the_ready_page_is_asked_in_the_language_of_the_study(
-    language: str, tmp_path: Path, read: Callable[[str], Settings]
-) -> None:
-    use = "[[session.questions]]\nuse = 'demographics'\nwhen = 'after'\n"
-    settings = read(f"{SHORTEST}[session]\nlanguage = '{language}'\n{use}")
-    questions = make_design(settings, tmp_path).questions
-    assert [question.name for question in questions] == list(READY["demographics"])
-    texts = read_texts(language)
-    own = [one["question"] for one in texts["questions"]["demographics"].values()]
-    assert [question.question for question in questions] == own
-    assert all(q.personal and not q.required and q.when == "after" for q in questions)
-    refusals = ("not_felt", "not_answered", "no_replay", "unknown_part", "too_early")
-    assert tuple(texts["refusals"]) == refusals
-
-
 def test_scales_of_the_labs_own_reach_the_texts_and_the_tasks(
     tmp_path: Path, read: Callable[[str], Settings]
 ) -> None:
@@ -299,18 +276,15 @@ def test_scales_of_the_labs_own_reach_the_texts_and_the_tasks(
     assert scale.anchors == ("a", "b")
 
 
-def test_a_file_of_the_labs_own_may_hold_its_scales_and_questions(
+def test_a_file_of_the_labs_own_may_hold_its_scales(
     tmp_path: Path, read: Callable[[str], Settings]
 ) -> None:
     own = '[scales.roughness]\nquestion = "A"\nlow_label = "B"\nhigh_label = "C"\n'
-    asked = '[questions.demographics.age]\nquestion = "Your age?"\n'
-    (tmp_path / "own.toml").write_text(own + asked, encoding="utf-8")
+    (tmp_path / "own.toml").write_text(own, encoding="utf-8")
     settings = read(
-        f"{SHORTEST}[session]\nlanguage = 'own.toml'\n[[session.questions]]\nuse = 'demographics'\n"
-        "[tasks.realism]\nscales = ['realism', 'roughness']\n"
+        f"{SHORTEST}[session]\nlanguage = 'own.toml'\n[tasks.realism]\nscales = ['realism', 'roughness']\n"
     )
     assert make_scales(read_study_texts(settings, tmp_path))["roughness"].question == "A"
-    assert make_design(settings, tmp_path).questions[0].question == "Your age?"
     (tmp_path / "own.toml").write_text("", encoding="utf-8")
     with pytest.raises(ValueError, match=r"tasks.realism.scales: 'roughness' has no words; add"):
         read_study_texts(settings, tmp_path)

@@ -1,8 +1,10 @@
-"""The rater model of ITU-T P.913: each rater's bias and inconsistency, and the quality of each stimulus without them.
+"""Consistency of raters: the rater model of ITU-T P.913, and expertise beside shuffled ratings.
 
-A vote is the quality of the stimulus, plus the bias of the rater, plus noise of the rater's own standard deviation,
-the inconsistency. Raters then count by how consistent they are, none is thrown out, and one who answers at random
-stands out by an inconsistency that no other rater's is like.
+In the rater model a vote is the quality of the stimulus, plus the bias of the rater, plus noise of the rater's own
+standard deviation, the inconsistency. Raters then count by how consistent they are, none is thrown out, and one who
+answers at random stands out by an inconsistency that no other rater's is like. Expertise is judged against a
+permutation null, in the manner of Report ITU-R BS.2300; its measures are defined here, because the data need not be
+balanced.
 """
 
 from __future__ import annotations
@@ -11,9 +13,11 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_array, read_numbers
+from feel321.analysis.resampling import FEWEST_ITEMS
 from feel321.analysis.table.items import (
     STIMULUS,
     Table,
@@ -33,7 +37,7 @@ SETTLED = 1e-8
 """Norm of the change of all qualities, over the spread of the votes, at which the projections stop."""
 
 MOST_ROUNDS = 10_000
-FLOOR = 1e-8
+NOISE = 1e-8
 """Added to squared inconsistencies, over the variance of the votes: a rater without noise would be all that counts."""
 
 LONE = 0.5
@@ -47,9 +51,14 @@ LEVEL = 0.05  # Chance that anybody is said to stand out among raters who differ
 MOST_APART = 0.25
 """Share of raters who may stand out; with more of them it is not they who are the exception."""
 
+FLOOR, PERMUTATIONS = 0.95, 499
+"""Share of permutations that an expert's measure exceeds, and how many there are."""
+
+MEASURES = ("discrimination", "reliability", "agreement")
+
 
 class _Votes(NamedTuple):
-    """Votes one by one: points, number of the rater and of the stimulus, and the names of both."""
+    """Votes one by one, the numbers of their raters and items, and the names of both."""
 
     points: Values
     rater: NDArray[np.intp]
@@ -89,17 +98,15 @@ def rater_model(
     Notes
     -----
     ``vote = quality of the stimulus + bias of the rater + inconsistency of the rater x N(0, 1)``, by alternating
-    projection, as ``MLE_CO_AP2`` of SUREAL: from mean votes, in turn biases (mean residual of a rater, less their
-    mean), inconsistencies (standard deviation of a rater's residuals, ddof 0) and qualities (means of votes less
-    bias, weighted by one over inconsistency squared), until qualities settle. Standard errors: inconsistency / sqrt(n)
-    of a bias and inconsistency / sqrt(2 n) of an inconsistency; of a quality the standard deviation of the stimulus's
-    residuals over sqrt(n) (``se``), and one over the root of the summed weights (``se_raters``, SUREAL's
-    ``MLE_CO_AP``). With few raters the likelihood may grow without bound; where one has half of all weights, all count
-    alike instead, and a note says so.
+    projection, as ``MLE_CO_AP2`` of SUREAL: in turn biases (mean residuals of a rater), inconsistencies (standard
+    deviations of them, ddof 0) and qualities (means of votes less bias, weighted by one over inconsistency squared),
+    until qualities settle. ``bias_se`` is inconsistency / sqrt(n), ``inconsistency_se`` inconsistency / sqrt(2 n);
+    ``se_raters`` is that of ``MLE_CO_AP``. With few raters the likelihood may grow without bound; where one has half of
+    all weights, all count alike instead, and a note says so.
 
-    Who stands apart: honest raters differ in inconsistency by a factor that is about log-normal, so the logarithms are
-    tested by Rosner's generalised extreme studentised deviate, one-sided, for up to a quarter of the raters, at 5 % for
-    the whole panel: several bad raters do not hide each other.
+    Inconsistencies of honest raters are about log-normal, so their logarithms are tested by Rosner's generalised
+    extreme studentised deviate, one-sided, for up to a quarter of the raters, at 5 % for the whole panel: several bad
+    raters do not hide each other.
 
     References
     ----------
@@ -118,26 +125,28 @@ def rater_model(
     >>> model.apart, round(model.raters["bias"].iloc[0])
     (('7',), 9)
     """
-    import pandas as pd
-
-    votes = _read(ratings, scale, level)
+    votes, notes = _read(ratings, scale, level), list[str]()
     counts, n_items = np.bincount(votes.rater), np.bincount(votes.item)
-    quality, bias, spread, rounds, lone = _project(votes)
+    quality, bias, spread, rounds = _alternate(votes, floor=NOISE * votes.points.var())
+    weights = 1 / (spread**2 + NOISE * votes.points.var())
+    if weights.max() >= LONE * weights.sum():
+        alone = f"Weighted by consistency, {votes.raters[int(weights.argmax())]} alone would determine the qualities"
+        notes.append(f"{alone}, as happens with few raters; all raters count alike instead.")
+        quality, bias, spread, rounds = _alternate(votes, floor=math.inf)
     residual = votes.points - quality[votes.item] - bias[votes.rater]
     n, n_parameters = len(votes.points), len(quality) + 2 * len(bias)
-    held = np.maximum(spread, math.sqrt(FLOOR) * votes.points.std())
+    held = np.maximum(spread, math.sqrt(NOISE) * votes.points.std())
     likely = -np.log(held) - math.log(2 * math.pi) / 2
     loglikelihood = float((likely[votes.rater] - (residual / held[votes.rater]) ** 2 / 2).mean())
-    weights = np.ones_like(held) if lone else 1 / held**2
+    weights = np.ones_like(held) if notes else 1 / held**2
     means = np.bincount(votes.item, residual) / n_items
     own = np.bincount(votes.item, (residual - means[votes.item]) ** 2) / n_items
-    apart, notes = find_apart(spread)
-    people = pd.Index(votes.raters, name="participant", dtype=object)
+    apart, lacking = find_apart(spread)
     raters = pd.DataFrame({
         "bias": bias, "bias_se": spread / np.sqrt(counts), "inconsistency": spread,
         "inconsistency_se": spread / np.sqrt(2 * counts), "n": counts, "weight": weights / weights.sum(),
         "apart": apart,
-    }, index=people)  # fmt: skip
+    }, index=pd.Index(votes.raters, name="participant", dtype=object))  # fmt: skip
     se_raters = 1 / np.sqrt(np.bincount(votes.item, 1 / held[votes.rater] ** 2))
     stimuli = pd.DataFrame(
         {"quality": quality, "se": np.sqrt(own / n_items), "se_raters": se_raters, "n": n_items},
@@ -148,7 +157,7 @@ def rater_model(
         apart=tuple(votes.raters[place] for place in np.argsort(-spread, kind="stable") if apart[place]),
         loglikelihood=loglikelihood, aic=2 * n_parameters / n - 2 * loglikelihood,
         bic=math.log(n) * n_parameters / n - 2 * loglikelihood,
-        n_ratings=n, n_parameters=n_parameters, n_rounds=rounds, notes=(*notes, *lone),
+        n_ratings=n, n_parameters=n_parameters, n_rounds=rounds, notes=(*lacking, *notes),
     )  # fmt: skip
 
 
@@ -177,21 +186,19 @@ def find_apart(inconsistency: Values) -> tuple[NDArray[np.bool_], list[str]]:
 
 
 def _read(ratings: Table | DataFrame | ArrayLike, scale: str | None, level: str | None) -> _Votes:
-    from pandas import factorize
-
     if is_tidy(ratings):
         table, _ = leave_rejected(name_stimuli(open_ratings(choose_arms(ratings, scale, level))))
         check_columns(table, ["participant", STIMULUS, "rating"], "ratings")
         refuse_pooled(table)
         values = read_numbers(table["rating"], what="ratings, 'rating'")
         (rater, raters), (item, items) = (
-            factorize(table[name].to_numpy(), sort=True) for name in ("participant", STIMULUS)
+            pd.factorize(table[name].to_numpy(), sort=True) for name in ("participant", STIMULUS)
         )
     else:
         given = read_array(ratings, what="ratings", axes=("items", "raters"), missing=True)
         item, rater = np.nonzero(np.isfinite(given))
         values = given[item, rater]
-        (rater, raters), (item, items) = (factorize(one, sort=True) for one in (rater, item))
+        (rater, raters), (item, items) = (pd.factorize(one, sort=True) for one in (rater, item))
     for what, numbers, least in (("raters", rater, FEWEST_RATERS), ("stimuli", item, FEWEST_VOTES)):
         if (count := int(numbers.max(initial=-1)) + 1) < least:
             raise ValueError(f"ratings must be of {least} {what} or more, got {count}")
@@ -204,33 +211,89 @@ def _read(ratings: Table | DataFrame | ArrayLike, scale: str | None, level: str 
     return _Votes(values, rater, item, tuple(map(str, raters)), tuple(map(str, items)))
 
 
-def _project(votes: _Votes) -> tuple[Values, Values, Values, int, list[str]]:
-    """Estimate all; with equal weights, and a note, where one rater alone counts and the likelihood is unbounded."""
-    found = _alternate(votes, floor=FLOOR)
-    weights = 1 / (found[2] ** 2 + FLOOR * votes.points.var())
-    if weights.max() < LONE * weights.sum():
-        return *found, []
-    who = votes.raters[int(weights.argmax())]
-    alone = f"Weighted by consistency, {who} alone would determine the qualities"
-    note = f"{alone}, as happens with few raters; all raters count alike instead."
-    return *_alternate(votes, floor=math.inf), [note]
-
-
 def _alternate(votes: _Votes, *, floor: float) -> tuple[Values, Values, Values, int]:
     """Estimate qualities, biases and inconsistencies in turn; an infinite floor makes all weights equal."""
     values, rater, item = votes.points, votes.rater, votes.item
-    counts, n_items = np.bincount(rater), np.bincount(item)
-    quality, size = np.bincount(item, values) / n_items, float(values.std())
-    alike = np.ones(len(counts))
+    counts, n_items, size = np.bincount(rater), np.bincount(item), float(values.std())
+    quality = np.bincount(item, values) / n_items
     for rounds in range(1, MOST_ROUNDS + 1):
         before, residual = quality, values - quality[item]
         means = np.bincount(rater, residual) / counts
         bias = means - means.mean()
         spread = np.sqrt(np.bincount(rater, (residual - means[rater]) ** 2) / counts)
-        each = 1 / (spread**2 + floor * size**2) if math.isfinite(floor) else alike
+        each = 1 / (spread**2 + floor) if math.isfinite(floor) else np.ones(len(counts))
         weights = each[rater]
         quality = np.bincount(item, weights * (values - bias[rater])) / np.bincount(item, weights)
         if np.linalg.norm(quality - before) < SETTLED * size:
             return quality, bias, spread, rounds
     why = f"got none after {MOST_ROUNDS} rounds: too few are shared by raters"
     raise ValueError(f"ratings must settle on qualities, {why}")
+
+
+def gauge_raters(tests: DataFrame, means: DataFrame, *, rng: np.random.Generator) -> DataFrame:
+    """Measure how expert each rater is: participant, measure, value, floor (95 % of its null), p.
+
+    From one rater's one-way analysis of variance, items against repeats, with mean squares M_items and M_repeats:
+    discrimination is M_items / M_repeats (do stimuli differ for this rater beyond the rater's own noise?), reliability
+    is the panel's average M_items / M_repeats (is the noise small against what there is to hear or feel?), agreement
+    is Pearson's r with the mean of the others over items. Shuffling ratings over trials keeps how a rater uses the
+    scale and destroys everything else. Rarely use it to exclude: raters who differ are not thereby wrong.
+
+    tests: a row per rating (participant, item, rating); means: (participants, items).
+
+    References
+    ----------
+    Lorho, Le Ray & Zacharov (2010), eGauge: a measure of assessor expertise in audio quality evaluations, AES 38th
+    International Conference.
+    """
+    people = [
+        (who, own["item"].to_numpy(), own["rating"].to_numpy())
+        for who, own in tests.groupby("participant", observed=True)
+    ]
+    between = [_mean_squares(item, rating[None])[1][0] for _, item, rating in people]
+    panel_square = float(np.nanmean(between)) if np.isfinite(between).any() else float("nan")
+    found: list[tuple[object, str, float, float, float]] = []
+    for who, item, rating in people:
+        shuffled = rng.permuted(np.broadcast_to(rating, (PERMUTATIONS, len(rating))), axis=1)
+        averages, square, within = _mean_squares(item, np.vstack([rating, shuffled]))
+        others = means.drop(index=who).mean().reindex(np.unique(item)).to_numpy()
+        with np.errstate(invalid="ignore", divide="ignore"):
+            measured = square / within, panel_square / within, _agree(averages, others)
+        for name, values in zip(MEASURES, measured, strict=True):
+            value, null = float(values[0]), values[1:][~np.isnan(values[1:])]
+            floor = p = np.nan
+            if not np.isnan(value) and len(null):
+                floor = float(np.quantile(null, FLOOR, method="higher"))
+                p = (1 + int((null >= value).sum())) / (1 + len(null))
+            found.append((who, name, value, floor, p))
+    gauge = pd.DataFrame(found, columns=["participant", "measure", "value", "floor", "p"])
+    return gauge.assign(participant=pd.Categorical(gauge["participant"], means.index))
+
+
+def _mean_squares(item: NDArray[np.intp], ratings: Values) -> tuple[Values, Values, Values]:
+    """Average each item, and take the mean squares between items and within; NaN for constants and without repeats."""
+    _, place, counts = np.unique(item, return_inverse=True, return_counts=True)
+    starts = np.cumsum(counts) - counts
+    order = np.argsort(place, kind="stable")
+    means = np.add.reduceat(ratings[:, order], starts, axis=1) / counts
+    n_items, spare = len(counts), len(place) - len(counts)
+    nothing = np.full(len(ratings), np.nan)
+    if n_items < 2 or not spare:  # noqa: PLR2004 - a variance needs two
+        return means, nothing, nothing
+    grand = ratings.mean(axis=1, keepdims=True)
+    between = (counts * (means - grand) ** 2).sum(axis=1) / (n_items - 1)
+    within = ((ratings - means[:, place]) ** 2).sum(axis=1) / spare
+    constant = np.ptp(ratings, axis=1) == 0
+    return means, np.where(constant, np.nan, between), np.where(constant, np.nan, within)
+
+
+def _agree(means: Values, others: Values) -> Values:
+    shared = np.isfinite(others)
+    if shared.sum() < FEWEST_ITEMS:
+        return np.full(len(means), np.nan)
+    own = means[:, shared] - means[:, shared].mean(axis=1, keepdims=True)
+    other = others[shared] - others[shared].mean()
+    scale = np.sqrt((own**2).sum(axis=1) * (other**2).sum())
+    nothing = np.full(len(own), np.nan)
+    r: Values = np.divide((own * other).sum(axis=1), scale, out=nothing, where=scale > 0)
+    return r
