@@ -31,7 +31,7 @@ DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
 VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 
-RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
+RESUMED = {"collect", "demo", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 LONGEST = 1000  # letters of a line of an error

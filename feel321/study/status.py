@@ -226,7 +226,7 @@ def watch_study(study: StudyFolder, page: Path, *, now: Clock) -> None:
         )
     watch = Watch(study)
     write_text(page, watch.write_page(now()), private=True)
-    echo(page)
+    echo(page, err=True)
     with suppress(KeyboardInterrupt):
         while True:
             time.sleep(EVERY_S)

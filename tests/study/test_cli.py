@@ -83,7 +83,10 @@ def test_a_shell_completes_verbs_and_choices() -> None:
         ("build --wrokers 2", "Unknown option: --wrokers. Did you mean --workers?"),
         ("build --workers 0", 'Invalid value "0" for --workers. Allowed: 1 to 1024'),
         ("build --workers x", 'unable to convert "x" into int'),
-        ("build --scheduler nowhere", "for --scheduler. scheduler must be tcp://HOST:PORT or tls://HOST:PORT"),
+        (
+            "build --scheduler nowhere",
+            "for --scheduler. scheduler must be tcp://HOST:PORT or tls://HOST:PORT",
+        ),
         ("simulate --participants 10001", "Allowed: 1 to 10000"),
         ("simulate --seed -1", "Allowed: 0 or more"),
         ("check --kind colour", 'Choose from: "reducer", "metric"'),
@@ -95,8 +98,14 @@ def test_a_shell_completes_verbs_and_choices() -> None:
         ("power --participants 8,x", "must be whole numbers from 1 to 100000 with commas"),
         ("power --participants 0", "must be whole numbers from 1 to 100000 with commas"),
         ("match a.csv b.wav --unit kg", 'Choose from: "m/s^2", "g", "mg"'),
-        ("run --participant ../x", "for --participant. must be letters (A-Z), digits, - and _, got"),
-        ("note --participant p1", "TEXT requires an argument; see: feel321 note --help, for example: "),
+        (
+            "run --participant ../x",
+            "for --participant. must be letters (A-Z), digits, - and _, got",
+        ),
+        (
+            "note --participant p1",
+            "TEXT requires an argument; see: feel321 note --help, for example: ",
+        ),
         ("note a b c --participant p1", "takes a study and TEXT, got 3 words"),
         ("collect", "FROM... requires an argument; see: feel321 collect --help, for example: "),
     ],

@@ -94,8 +94,8 @@ def test_the_page_follows_a_session_until_both_end(copied: StudyFolder, tmp_path
         for process in (session, watching):
             process.kill()
             process.wait()
-    assert (watching.returncode, told) == (0, "")
-    assert printed.startswith(f"{page}\nparticipant ")
+    assert (watching.returncode, told) == (0, f"{page}\n")
+    assert printed.startswith("participant ")
     assert len(pages) > 3
     assert all('<meta http-equiv="refresh"' in text for text in pages)
     last = page.read_text(encoding="utf-8")
@@ -180,5 +180,5 @@ def test_no_other_file_is_overwritten(
     before = copied.settings.read_bytes()
     assert main(["status", str(copied.path), "--watch", str(copied.settings)]) == 1
     assert "exists and is no page of status --watch" in capsys.readouterr().err
-    assert main(["status", str(copied.path), "--watch", "page.html", "--json"]) == 2
+    assert main(["status", str(copied.path), "--watch", "page.html", "--notes"]) == 2
     assert copied.settings.read_bytes() == before
