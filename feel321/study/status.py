@@ -162,8 +162,7 @@ class Watch:
                     left_min = max(left.values()) / SECONDS
                     entries[folder] = replace(entries[folder], left_min=left_min)
             plans = [one.plan for one in dossiers.values()]
-            sittings = [minutes.Sitting.plan(one, one.flow, durations) for one in plans]
-            length = minutes.measure_length(sittings, pace) if sittings else None
+            length = minutes.measure_length(plans, durations, pace) if plans else None
         return list(entries.values()), length
 
     def _read(self, folder: Path) -> Progress:
