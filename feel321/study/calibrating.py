@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
     from feel321.study.actuator.certificate import Certificate
     from feel321.study.actuator.mixer import Frames
-    from feel321.study.folder import StudyFolder
-    from feel321.study.laboratory import Laboratory
+    from feel321.study.folder import OpenStudy, StudyFolder
 
 ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
 """Fields of a coil's certificate that are too long to print."""
@@ -40,7 +39,7 @@ def _find_rate(folder: StudyFolder) -> float:
 
 
 def calibrate_rig(
-    lab: Laboratory, *, device: str | None, manual: Sequence[str], redesign: bool
+    lab: OpenStudy, *, device: str | None, manual: Sequence[str], redesign: bool
 ) -> Outcome:
     """Measure the coils, or take typed gains, and store a certificate."""
     from feel321.study.actuator.certificate import draw_certificate, make_manual, write_certificate
@@ -84,7 +83,7 @@ def _read_gain(text: str) -> tuple[str, float]:
         raise UsageError(f"--manual must be NAME=GAIN, such as {example}, got {text!r}") from None
 
 
-def _measure(lab: Laboratory, rig: Rig, *, rate_hz: float, redesign: bool) -> Certificate:
+def _measure(lab: OpenStudy, rig: Rig, *, rate_hz: float, redesign: bool) -> Certificate:
     from feel321.study.actuator.calibrate import KEPT, Calibration
 
     consent = partial(agree, lab.folder, rig)
@@ -150,7 +149,7 @@ def _find_cost(folder: StudyFolder, rig: Rig, proposed: Certificate) -> Iterator
         yield f"weakest stimulus {weakest}: {left_db:.1f} dB over the threshold of feeling"
 
 
-def examine_study_rig(lab: Laboratory, *, device: str | None, seconds: float) -> Outcome:
+def examine_study_rig(lab: OpenStudy, *, device: str | None, seconds: float) -> Outcome:
     """Play pulses and probes on the rig of a study, or on a device without one, and say what is wrong."""
     from feel321.study.actuator.doctor import examine_rig, survey_devices
 
@@ -185,7 +184,7 @@ def examine_study_rig(lab: Laboratory, *, device: str | None, seconds: float) ->
     return Outcome(facts, lines, faults=known.get("faults", ()), failed=failed)
 
 
-def _probe(lab: Laboratory, rig: Rig, *, rate_hz: float) -> dict[str, Any]:
+def _probe(lab: OpenStudy, rig: Rig, *, rate_hz: float) -> dict[str, Any]:
     """Probe each coil, against the certificate if there is one."""
     from feel321.study.actuator.certificate import judge_certificates, list_certificates
     from feel321.study.actuator.doctor import probe_coils

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from feel321.doors import check_name
 from feel321.files import create_text, is_of_group, make_folder
 from feel321.records import Result
-from feel321.study.session.journal import PARTICIPANT_ID, list_journals
+from feel321.study.session.journal import PARTICIPANT_ID, Clock, list_journals, utc_now
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.study.session.plan import Dossier
+    from feel321.types import Progress
 
 Read = TypeVar("Read")
 
@@ -229,6 +231,33 @@ def read_template(bundled: str | None = None) -> str:
         return (TEMPLATES / "template.toml").read_text(encoding="utf-8")
     check_name(bundled, list_bundled(), "study")
     return (BUNDLED / f"{bundled}.toml").read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class OpenStudy:
+    """The folder of a study, and how its verbs say what they do; see `Study`."""
+
+    folder: StudyFolder
+    progress: Progress = False
+    now: Clock = utc_now
+    warn: Callable[[str], None] | None = None
+
+    def choose(self, rehearsals: bool) -> StudyFolder:  # noqa: FBT001 - an option, passed on
+        """Choose sessions or rehearsals."""
+        return replace(self.folder, is_rehearsal=True) if rehearsals else self.folder
+
+    def say(self, message: str) -> None:
+        """Give a warning.
+
+        Parameters
+        ----------
+        message : str
+            In one line.
+        """
+        if self.warn is None:
+            warnings.warn(message, stacklevel=4)
+        else:
+            self.warn(message)
 
 
 # What verbs return.

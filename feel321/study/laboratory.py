@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import TYPE_CHECKING
 
 from feel321.doors import as_path, as_seed, follow
-from feel321.study.folder import Outcome, StudyFolder, UsageError
-from feel321.study.session.journal import Clock, utc_now
+from feel321.study.folder import OpenStudy, Outcome, UsageError
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -17,17 +14,11 @@ if TYPE_CHECKING:
     from feel321.study import options
     from feel321.study.session.ports import Place
     from feel321.study.status import Status
-    from feel321.types import Progress
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Laboratory:
-    """The folder of a study, and how its verbs say what they do; see `Study`."""
-
-    folder: StudyFolder
-    progress: Progress = False
-    now: Clock = utc_now
-    warn: Callable[[str], None] | None = None
+class Laboratory(OpenStudy):
+    """The verbs of a study that need its people or its rig; see `Study`."""
 
     def calibrate(
         self, *, device: options.Name = None, manual: options.Gains = (), redesign: bool = False
@@ -117,7 +108,7 @@ class Laboratory:
         from feel321.study.lab import SessionLog, run_participant
         from feel321.study.sessions import read_room
 
-        room = read_room(self._choose(rehearse), now=self.now)
+        room = read_room(self.choose(rehearse), now=self.now)
         room = replace(room, windowed=windowed, screen=screen, device=device)
         room = replace(room, accept_rig=accept_rig, lsl=lsl)
         with SessionLog(participant, room.study.rig) as log:
@@ -178,7 +169,7 @@ class Laboratory:
         from feel321.study.persons.withdrawal import recording_output
         from feel321.study.status import read_status, watch_study
 
-        folder = self._choose(rehearsals)
+        folder = self.choose(rehearsals)
         if watch is not None:
             if notes:
                 raise UsageError("--watch does not go with --notes; leave one out")
@@ -209,7 +200,7 @@ class Laboratory:
         """
         from feel321.study.persons.withdrawal import take_note
 
-        notice = take_note(self._choose(rehearsals), participant, text, now=self.now)
+        notice = take_note(self.choose(rehearsals), participant, text, now=self.now)
         if notice:
             self.say(notice)
         facts = {"participant": participant, "text": text, "warning": notice}
@@ -292,20 +283,3 @@ class Laboratory:
             "Copies that feel321 did not make must be removed by hand"
         )
         return Outcome({**facts, "removed": removed, "tombstone": has_tombstone}, [line])
-
-    def _choose(self, rehearsals: bool) -> StudyFolder:  # noqa: FBT001 - an option, passed on
-        """Choose sessions or rehearsals."""
-        return replace(self.folder, is_rehearsal=True) if rehearsals else self.folder
-
-    def say(self, message: str) -> None:
-        """Give a warning.
-
-        Parameters
-        ----------
-        message : str
-            In one line.
-        """
-        if self.warn is None:
-            warnings.warn(message, stacklevel=4)
-        else:
-            self.warn(message)

@@ -349,7 +349,7 @@ class Study(Laboratory):
         from feel321.study.auditing.study import examine
 
         with follow(self.progress, "audit") as step:
-            return examine(self._choose(rehearsals), expect=expect, remotes=remotes, progress=step)
+            return examine(self.choose(rehearsals), expect=expect, remotes=remotes, progress=step)
 
     def seal(self, reason: str = "", *, to: options.Remote = "") -> Seal:
         """Take a checkpoint of the study, and push it to its remotes.
