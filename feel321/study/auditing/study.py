@@ -30,7 +30,14 @@ from feel321.study.persons.answers import audit_personal
 from feel321.study.persons.withdrawal import find_data_left, list_stale
 from feel321.study.ratings import find_misplaced
 from feel321.study.session import events
-from feel321.study.session.journal import Chain, Record, list_journals, name_journal, read_journal
+from feel321.study.session.journal import (
+    Chain,
+    Record,
+    Records,
+    list_journals,
+    name_journal,
+    read_journal,
+)
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Dossier, Plan, require_plan
 
 if TYPE_CHECKING:
@@ -69,16 +76,19 @@ def examine(
     tables, holders = Tables(study, stimuli), list[Holder]()
     for done, folder in enumerate(folders, start=1):
         announce(folder.name)
-        findings += _guard(folder, _audit_participant(folder, stimuli, tables))
+        findings += _guard(folder, _audit_participant(folder, tables))
         with suppress(OSError, ValueError):  # of a plan that is among the findings
             holders += filter(None, [read_holder(folder)])
         progress(done, len(folders))
     findings += [*find_doubles(holders), *_guard(study.path, find_data_left(study))]
-    wrong, older = tables.compare()
-    evidence = Evidence() if study.is_rehearsal else weigh(study, expect=expect, remotes=remotes)
-    remarks = [*evidence.remarks, *older, *_audit_inputs(study), *describe_rigs(tables.people)]
+    evidence, remarks = Evidence(), list[str]()
+    if not study.is_rehearsal:
+        wrong, remarks = tables.compare()
+        evidence = weigh(study, expect=expect, remotes=remotes)
+        findings += [*wrong, *evidence.findings]
+    remarks = [*evidence.remarks, *remarks, *_audit_inputs(study), *describe_rigs(tables.people)]
     remarks += [*_guard(study.path, list_stale(study)), *filter(None, [describe_frozen(study)])]
-    every = dict.fromkeys([*findings, *wrong, *evidence.findings, *find_faults(study)])
+    every = dict.fromkeys([*findings, *find_faults(study)])
     return Audit(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)
 
 
@@ -122,74 +132,71 @@ def _audit_inputs(study: StudyFolder) -> Iterator[str]:
             yield f"{path}: {text}; compute it anew: feel321 analyze"
 
 
-def _audit_participant(folder: Path, stimuli: StimulusSet | None, tables: Tables) -> Iterator[str]:
+def _audit_participant(folder: Path, tables: Tables) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists():
         yield from find_leftovers(folder)
         return
-    path, chains = folder / PLAN_FILE, dict[Path, Chain]()
-    tables.unread.add(folder.name)
+    dossier, stimuli = None, tables.stimuli
+    with suppress(*MALFORMED, OSError, ValueError):  # found below, part by part
+        dossier = tables.study.read_person(folder)
+        tables.take(dossier)
+    if folder.name not in {one.participant for one in tables.people}:
+        tables.unread.add(folder.name)
     if folder.is_symlink():
         yield f"{folder}: is a link; put the folder itself there"
+    path = folder / PLAN_FILE
     plan = require_plan(path)
     if plan.participant != folder.name:
         yield f"{path}: is the plan of {plan.participant!r}, it was copied here"
     if stimuli and stimuli.sha256 != plan.stimuli_sha256:
         yield f"{path}: names another stimulus set than the one that is built"
-    yield from audit_journals(folder, plan, chains)
-    journals = list_journals(folder)
-    if plan.participant != folder.name or not set(journals) <= set(chains):
-        return
-    dossier = Dossier(folder, plan, tuple(chains[one] for one in journals))
-    with suppress(*MALFORMED, OSError, ValueError):  # among the findings
-        tables.take(dossier)
-        tables.unread.discard(folder.name)
+    yield from audit_journals(folder, plan, dossier)
 
 
 # Journals: each chain, its header and times, and how one session follows another.
 
 
-def audit_journals(
-    folder: Path, plan: Plan, chains: dict[Path, Chain] | None = None
-) -> Iterator[str]:
-    """Verify all journals of a participant; chains: filled with those that can be read."""
-    chains, journals = {} if chains is None else chains, list_journals(folder)
+def audit_journals(folder: Path, plan: Plan, dossier: Dossier | None = None) -> Iterator[str]:
+    """Verify all journals of a participant; dossier: as they were read, where all could be."""
+    journals, known = list_journals(folder), dict[Path, Chain]()
+    if dossier:
+        known = dict(zip(journals, dossier.chains, strict=True))
     for path in sorted(folder.glob("session-*.jsonl")):  # Copies under other names too.
-        yield from _guard(path, _audit_journal(path, plan, chains))
+        yield from _guard(path, _audit_journal(path, plan, known))
     for session, path in enumerate(journals, start=1):
         if path.name != name_journal(session):
             yield f"{path}: is there without {name_journal(session)} before it"
             return
-        if path == journals[-1] or path not in chains:
+        if path == journals[-1] or path not in known:
             continue
         superseded = events.SessionSuperseded.event
-        by = [one.data.get("by") for one in chains[path].records if one.event == superseded]
+        by = [one.data.get("by") for one in known[path].records if one.event == superseded]
         if session + 1 not in by:
             yield f"{path}: does not mention {name_journal(session + 1)}, which stands beside it"
 
 
-def _audit_journal(path: Path, plan: Plan, chains: dict[Path, Chain]) -> Iterator[str]:
-    chains[path] = chain = read_journal(path)
+def _audit_journal(path: Path, plan: Plan, known: dict[Path, Chain]) -> Iterator[str]:
+    chain = known[path] = known.get(path) or read_journal(path)
+    records = chain.records
     if chain.torn:
         yield f"{path}: ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
     try:
-        header = chain.records.find_header()
+        header = records.find_header()
     except ValueError as error:
         yield f"{path}, {error}"
         return
-    if header is not None:
-        places = (
-            find_misplaced(path, header, plan),
-            _audit_header(header, plan, path),
-            _audit_clocks(header, chain.records),
-            _audit_content(chain, plan, path.parent),
-        )
-        for findings in places:
-            yield from (f"{path}{finding}" for finding in findings)
+    if header is None:  # A crash may have come before it, and nobody come back.
+        allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
+        if not {record.event for record in records} <= allowed:
+            yield f"{path}: has no header"
         return
-    # A crash may have come before it, and nobody come back.
-    allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
-    if not {record.event for record in chain.records} <= allowed:
-        yield f"{path}: has no header"
+    for findings in (
+        find_misplaced(path, header, plan),
+        _audit_header(header, plan, path),
+        _audit_clocks(header, records),
+        _audit_content(records, plan, path.parent),
+    ):
+        yield from (f"{path}{finding}" for finding in findings)
 
 
 def _audit_header(header: events.SessionBegun, plan: Plan, path: Path) -> Iterator[str]:
@@ -230,22 +237,22 @@ def _audit_clocks(header: events.SessionBegun, records: Sequence[Record]) -> Ite
         before, is_asleep = record, False
 
 
-def _audit_content(chain: Chain, plan: Plan, folder: Path) -> Iterator[str]:
+def _audit_content(records: Records, plan: Plan, folder: Path) -> Iterator[str]:
     """Check that time runs forwards, run the session again, and where that holds look at the files that it names."""
-    for before, record in pairwise(chain.records):
+    for before, record in pairwise(records):
         if record.utc < before.utc and record.event != events.ClockStepped.event:
             yield f", line {record.sequence + 1}: is older than the line before, and nothing says why"
-    steps = list(audit_steps(chain.records, plan))
+    steps = list(audit_steps(records, plan))
     yield from steps
     if steps:  # records need not be as they should
         return
-    for record, path, sha256 in list_files(chain.records, folder):
+    for record, path, sha256 in list_files(records, folder):
         name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
         if not path.is_file():
             yield f"{name} is gone; restore it from a copy"
         elif digest_file(path) != sha256:
             yield f"{name} was changed since it was written; restore it from a copy"
-    yield from audit_personal(folder, chain.records)
+    yield from audit_personal(folder, records)
 
 
 def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import math
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
@@ -21,8 +21,6 @@ from feel321.study.persons import answers
 from feel321.study.ratings import MATCH_COLUMNS, MATCHES_FILE, list_judgements, list_matches
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
     from feel321.study.session.plan import Dossier
@@ -39,39 +37,43 @@ KEYS = {
 }  # fmt: skip
 """Columns that name a row."""
 
+COLUMNS: Mapping[str, Sequence[str]] = {
+    "ratings.csv": RATING_COLUMNS, MATCHES_FILE: MATCH_COLUMNS, answers.ANSWERS_FILE: answers.COLUMNS,
+}  # fmt: skip
+
 FIXED = {"participant", "number", "simulated", "first_utc", "total"}
 """Columns of the roster that do not change as a session goes on."""
 
 
 class Tables:
-    """The tables of a study; unread: participants whose files cannot be read, which is among the findings."""
+    """The tables of a study, derived anew; unread: participants whose files cannot be read, among the findings."""
 
     def __init__(self, study: StudyFolder, stimuli: StimulusSet | None) -> None:
-        self._study, self._stimuli = study, stimuli
-        self.people = list[Progress]()
-        self._rows: dict[str, list[dict[str, Any]]] = defaultdict(list)
-        self.unread = set[str]()
+        self.study, self.stimuli = study, stimuli
+        self.people, self.unread = list[Progress](), set[str]()
+        self._rows: dict[str, list[dict[str, Any]]] = {}
+        if stimuli and study.participants:  # without, ratings may come from elsewhere
+            self._rows = {name: [] for name in COLUMNS}
 
     def take(self, dossier: Dossier) -> None:
-        """Derive the rows of a participant."""
+        """Derive the rows of a participant, all or none."""
+        own: dict[str, list[dict[str, Any]]] = {}
+        if self.stimuli:
+            own["ratings.csv"] = list_judgements(dossier, self.stimuli)
+            own[MATCHES_FILE] = [*list_matches(dossier, self.stimuli)]
+            own[answers.ANSWERS_FILE] = answers.list_answers(dossier)
         self.people.append(make_progress(dossier))
-        if self._stimuli:
-            self._rows["ratings.csv"] += list_judgements(dossier, self._stimuli)
-            self._rows[MATCHES_FILE] += list_matches(dossier, self._stimuli)
-            self._rows[answers.ANSWERS_FILE] += answers.list_answers(dossier)
+        for name, rows in own.items():
+            self._rows[name] += rows
 
     def compare(self) -> tuple[list[str], list[str]]:
         """Compare all tables that are there with the journals; returns findings and remarks."""
         findings, remarks = list[str](), list[str]()
-        columns = {ROSTER_FILE: list_roster(self.people)[0]}
-        self._rows[ROSTER_FILE] = list_roster(self.people)[1]
-        if self._stimuli and self._study.participants:  # without, ratings may come from elsewhere
-            columns |= {"ratings.csv": [*RATING_COLUMNS], MATCHES_FILE: [*MATCH_COLUMNS]}
-            columns |= {answers.ANSWERS_FILE: [*answers.COLUMNS]}
-        for name, own in {} if self._study.is_rehearsal else columns.items():
-            path = self._study.path / name
-            derived = [*list_csv(own, self._rows[name])] if path.is_file() else []
-            if not derived or path.read_bytes() == "".join(derived).encode():
+        columns, roster = list_roster(self.people)
+        for name, rows in {ROSTER_FILE: roster, **self._rows}.items():
+            path = self.study.path / name
+            lines = [*list_csv(COLUMNS.get(name, columns), rows)]
+            if not path.is_file() or path.read_bytes() == "".join(lines).encode():
                 continue
             try:
                 with intake.open_text(path) as file:
@@ -81,12 +83,10 @@ class Tables:
                 findings.append(f"{path}: cannot be read ({error}); {ANEW}")
                 continue
             # What changes as a session goes on; one that was begun anew is rejected as a whole.
-            lagging = {*own} - FIXED if name == ROSTER_FILE else {"rejected"}
-            readable = [one for one in written if one[1].get("participant") not in self.unread]
-            texts, late = _compare(
-                [*csv.DictReader(derived)], readable, key=KEYS[name], lagging=lagging
-            )
-            findings += [f"{path}{text}; {ANEW}" for text in texts]
+            lagging = {*columns} - FIXED if name == ROSTER_FILE else {"rejected"}
+            kept = [one for one in written if one[1].get("participant") not in self.unread]
+            wrong, late = _compare([*csv.DictReader(lines)], kept, key=KEYS[name], lagging=lagging)
+            findings += [f"{path}{text}; {ANEW}" for text in wrong]
             if late:
                 text = f"lacks rows that the journals have ({late}); unless they are newer, it was edited"
                 remarks.append(f"{path}: {text}; {ANEW}")
@@ -100,24 +100,21 @@ def _compare(
     key: Sequence[str],
     lagging: set[str],
 ) -> tuple[list[str], int]:
-    """Compare row by row; returns what is wrong, and how many rows are missing at the end.
-
-    A trial that was rejected comes again, under the same number.
-    """
+    """Compare row by row; returns what is wrong, and how many rows are missing at the end."""
 
     def name(row: Row) -> tuple[str, ...]:
         return tuple(row.get(one) or "" for one in key)
 
     left: dict[tuple[str, ...], list[Row]] = defaultdict(list)
-    for row in derived:
+    for row in derived:  # a trial that was rejected comes again, under the same number
         left[name(row)].append(row)
     others, wrong = [], []
     for line, row in written:
-        alike = (one for one in left[name(row)] if not _find_wrong(row, one, lagging))
-        if (same := next(alike, None)) is not None:
-            left[name(row)].remove(same)
-        else:
+        same = next((one for one in left[name(row)] if not _find_wrong(row, one, lagging)), None)
+        if same is None:
             others.append((line, row))
+        else:
+            left[name(row)].remove(same)
     for line, row in others:
         text = f"holds a row of {row.get('participant') or 'nobody'} that the journals do not have"
         if own := left[name(row)]:
@@ -129,18 +126,6 @@ def _compare(
         label = ", ".join(f"{one} {row[one]}" for one in key if row[one])
         wrong.append(f": lacks the row of {label}, which the journals have")
     return wrong, len(missing) - len(amid)
-
-
-def _find_wrong(row: Row, own: Row, lagging: set[str]) -> str:
-    """Find the first cell that the journals contradict."""
-    got, last = row.get("last_utc") or "", own.get("last_utc", "")
-    if got > last:
-        return f"last_utc is {got}, the journals end at {last}"
-    is_old = got < last or (own.get("rejected"), row.get("rejected")) == ("true", "false")
-    for name, value in own.items():
-        if (got := row.get(name, "")) != value and not (is_old and name in lagging):
-            return f"{name} is {got!r}, the journals say {value!r}"
-    return ""
 
 
 def _find_amid(missing: Sequence[Row], present: Sequence[Row]) -> list[Row]:
@@ -155,3 +140,15 @@ def _find_amid(missing: Sequence[Row], present: Sequence[Row]) -> list[Row]:
         if math.isfinite(onset):
             last[session] = max(last[session], onset)
     return [row for row in missing if place(row)[1] < last[place(row)[0]]]
+
+
+def _find_wrong(row: Row, own: Row, lagging: set[str]) -> str:
+    """Find the first cell that the journals contradict."""
+    got, last = row.get("last_utc") or "", own.get("last_utc", "")
+    if got > last:
+        return f"last_utc is {got}, the journals {f'end at {last}' if last else 'that are left hold nothing'}"
+    is_old = got < last or (own.get("rejected"), row.get("rejected")) == ("true", "false")
+    for name, value in own.items():
+        if (got := row.get(name, "")) != value and not (is_old and name in lagging):
+            return f"{name} is {got!r}, the journals say {value!r}"
+    return ""
