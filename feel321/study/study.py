@@ -194,7 +194,7 @@ class Study:
             Bootstrap draws per interval; as study.toml declares by default.
         """
         from feel321.study.analyze import analyze_study
-        from feel321.study.export.narrative import write_methods
+        from feel321.study.export.dataset import write_methods
         from feel321.study.persons.withdrawal import recording_output
 
         if manifest is not None and ratings is None:

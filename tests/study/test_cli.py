@@ -100,7 +100,7 @@ def test_a_shell_completes_verbs_and_choices() -> None:
         ("note --participant p1", "takes a study and one text in quotes, got 0 words"),
         ("note a b c --participant p1", "takes a study and one text in quotes, got 3 words"),
         ("collect", "name the study folders to collect from"),
-        ("export a b --r --keep-ids", "--keep-ids and --simulated are for BIDS"),
+        ("export a b --r --simulated", "--simulated is for BIDS"),
     ],
 )
 def test_wrong_use_is_one_line_and_exit_2(

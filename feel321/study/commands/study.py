@@ -296,7 +296,6 @@ def seal(opened: Study, found: "Seal", *, as_json: bool) -> None:
 
 def export(
     *study_dir: Annotated[File, Parameter(name="[STUDY] DIR")],
-    keep_ids: Annotated[bool, about("Keep participants' codes.")] = False,
     simulated: Annotated[bool, about("Simulated participants too, marked as such.")] = False,
     for_r: Annotated[bool, about("Write for R and JASP instead.", name="--r")] = False,
     as_json: Json = False,
@@ -313,8 +312,8 @@ def export(
     from feel321.study.persons.withdrawal import recording_output
 
     folder, target = shared.split_study(study_dir, "a folder to write")
-    if for_r and (keep_ids or simulated):
-        shared.refuse_use("--keep-ids and --simulated are for BIDS; leave them out with --r")
+    if for_r and simulated:
+        shared.refuse_use("--simulated is for BIDS; leave it out with --r")
     if len(study_dir) == 1 and (target / "study.toml").is_file():
         need = f"name the folder to write, too: feel321 export {target} DIR"
         shared.refuse_use(f"{target} is a study; {need}")
@@ -333,7 +332,7 @@ def export(
             from feel321.study.export.dataset import export_bids
 
             step = f"check it with: bids-validator-deno {target}"
-            notices += export_bids(opened.folder, target, keep_ids=keep_ids, simulated=simulated)
+            notices += export_bids(opened.folder, target, simulated=simulated)
     for line in notices:
         shared.warn(line)
     facts = {"folder": str(target), "kind": "R" if for_r else "BIDS", "warnings": notices}
