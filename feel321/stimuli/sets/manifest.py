@@ -327,7 +327,8 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
     except UnicodeError:
         raise
     except ValueError as error:
-        raise ValueError(f"{path}, line {line}: {_word(error)}; build the set again") from None
+        said = _word(error).removeprefix(f"{path.name}: ")
+        raise ValueError(f"{path}, line {line}: {said}; build the set again") from None
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")
     return StimulusSet(path.parent, tuple(stimuli), sha256)
