@@ -30,7 +30,6 @@ from feel321.study.actuator.certificate import (
     read_certificate,
 )
 from feel321.study.actuator.output import Bench, OnStep, open_bench
-from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.rig import ActuatorTable, Rig, digest, require_sensor
 from feel321.types import Samples
 
@@ -44,7 +43,6 @@ STEP_HZ = 0.5  # of the frequencies in a certificate
 MOST_GAIN_DB = 50.0  # of a filter that is proposed; beyond, the band is narrowed
 LEAST_BAND = 0.8  # of the octaves that were asked, for a coil to pass
 SPARE_DB = 1.0  # by which a proposed gain exceeds what the response asks for
-DAMAGED = (zipfile.BadZipFile, zlib.error)
 KEPT = timedelta(days=1)  # for so long a coil need not be measured again
 Coils = Mapping[str, CoilCertificate]
 
@@ -53,13 +51,13 @@ def make_sweeps(
     rig: Rig, *, rate_hz: float, peak: float = 1.0
 ) -> tuple[response.Sweep, response.Sweep]:
     """Make the sweep that is the measurement, and the shorter one before it."""
-    settings = rig.calibration
+    own = rig.calibration
     main = response.Sweep(
         rate_hz=rate_hz,
-        band_hz=settings.band_hz,
-        duration_s=min(settings.sweep_s, MARGIN * rig.limits.duration_s),
-        pause_s=settings.pause_s,
-        n_repeats=settings.repeats,
+        band_hz=own.band_hz,
+        duration_s=min(own.sweep_s, MARGIN * rig.limits.duration_s),
+        pause_s=own.pause_s,
+        n_repeats=own.repeats,
         peak=peak,
     )
     return main, replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
@@ -73,18 +71,16 @@ def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
 
 def find_safe(rig: Rig, probe: response.Response) -> float:
     """Find the peak of a sweep, as a part of full scale, whose motion is within the limits and the sensor's scale."""
-    # A resonance may lie where the sweep rises to its peak, or falls.
+    low_hz, high_hz = probe.band_hz[0] / response.BELOW, probe.band_hz[1] * response.ABOVE
     log_hz = np.log(np.maximum(probe.frequency_hz, response.TINY))
-    rise = np.clip(
-        (log_hz - math.log(probe.band_hz[0] / response.BELOW)) / math.log(response.BELOW), 0, 1
+    # A resonance may lie where the sweep rises to its peak, or falls.
+    ramps = response.make_ramps(
+        (log_hz - math.log(low_hz)) / math.log(response.BELOW),
+        (math.log(high_hz) - log_hz) / math.log(response.ABOVE),
     )
-    fall = np.clip(
-        (math.log(probe.band_hz[1] * response.ABOVE) - log_hz) / math.log(response.ABOVE), 0, 1
-    )
-    ramp = np.sin(math.pi / 2 * rise) ** 2 * np.sin(math.pi / 2 * fall) ** 2
     limits = [rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2]
     allowed = min(*limits, require_sensor(rig).full_scale_m_s2)
-    return MARGIN * allowed / float((np.abs(probe.response) * ramp).max())
+    return MARGIN * allowed / float((np.abs(probe.response) * ramps).max())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,26 +176,20 @@ def propose_band(rig: Rig, seen: response.Response) -> tuple[response.Band, floa
 
 def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertificate:
     """Make the filter of a coil, and what its certificate says of it: by calculation, until it is verified."""
-    settings = rig.calibration
-    band_hz, gain_db = propose_band(rig, run)
+    own, (band_hz, gain_db) = rig.calibration, propose_band(rig, run)
     inverse = response.make_inverse(
         run,
         band_hz=band_hz,
         max_gain_db=gain_db,
         n_taps=round(TAPS_PERIODS / band_hz[0] * run.rate_hz),
-        min_coherence=settings.min_coherence,
+        min_coherence=own.min_coherence,
     )
     inside = response.find_inside(run.frequency_hz, band_hz=band_hz)
     size, distortion = np.abs(run.response[inside]), run.distortion[inside]
     full_scale_m_s2 = float(np.median(size))
     before_db = run.find_deviation_db(target=full_scale_m_s2, band_hz=band_hz)
-    # Harmonics over the band, relative to the sum of the fundamentals; both as energies.
     known = np.isfinite(distortion)
-    harmonics = float(np.linalg.norm((size * distortion)[known]) / np.linalg.norm(size[known]))
-    # A sensor with one axis does not see the direction, but its sign.
-    typed = find_directions(rig)[0].get(actuator.name, np.eye(3)[0])
-    is_seen = len(run.direction) == len(typed)
-    low, high = settings.band_hz
+    low, high = own.band_hz
     grid_hz = np.arange(low / response.BELOW, high * response.ABOVE, STEP_HZ, dtype=np.float64)
     on_grid = {
         name: np.interp(grid_hz, run.frequency_hz, getattr(run, name))
@@ -215,8 +205,11 @@ def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertific
         least_coherence=float(run.coherence[inside].min()),
         crossed_db=run.cross_talk_db,
         noise_m_s2=run.noise_m_s2,
-        total_distortion=harmonics,
-        direction=run.direction if is_seen else np.sign(run.direction[0]) * typed,
+        # Harmonics over the band, relative to the sum of the fundamentals; both as energies.
+        total_distortion=float(
+            np.linalg.norm((size * distortion)[known]) / np.linalg.norm(size[known])
+        ),
+        direction=run.direction,
         frequency_hz=grid_hz,
         equalised=np.full(len(grid_hz), np.nan, dtype=np.complex128),
         levels=run.levels,
@@ -284,21 +277,18 @@ def measure_latencies(bench: Bench, coils: Coils) -> dict[str, CoilCertificate]:
     for number, coil in enumerate(coils.values()):  # one coil after another, again and again
         sounds[coil.channel].reshape(-1, n_coils, turn)[:, number] = float(coil.levels[1]) * once
 
-    def cut(recorded: Samples, number: int) -> Samples:
+    def cut(recorded: Samples) -> list[Samples]:
         turns = recorded.reshape(len(recorded), -1, n_coils, turn)
-        return turns[:, :, number].reshape(len(recorded), -1)
+        return [turns[:, :, number].reshape(len(recorded), -1) for number in range(n_coils)]
 
     recorded = bench.insist(
         lambda: bench.play(sounds, n=n),
-        lambda found: max(
-            response.find_slip(cut(found, number), quiet) for number in range(n_coils)
-        ),
+        lambda found: max(response.find_slip(one, quiet) for one in cut(found)),
     )
     found = {}
-    for number, (name, coil) in enumerate(coils.items()):
+    for (name, coil), own in zip(coils.items(), cut(recorded), strict=True):
         sweep = replace(quiet, peak=float(coil.levels[1]))
-        latency = response.measure_sweep(sweep, cut(recorded, number)).latency
-        found[name] = replace(coil, latency=latency)
+        found[name] = replace(coil, latency=response.measure_sweep(sweep, own).latency)
     return found
 
 
@@ -340,11 +330,12 @@ def read_run(path: Path) -> CoilRun | None:
     """Read what was measured of a coil; None where nothing there can be used."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            known = {name: stored[name] for name in stored.files}
-        flat = {name: one if one.ndim else one.item() for name, one in known.items()}
-        datetime.fromisoformat(flat["made"])
-        return CoilRun(**flat | {"band_hz": tuple(flat["band_hz"])})
-    except (OSError, TypeError, EOFError, KeyError, RuntimeError, ValueError, *DAMAGED):
+            known = {name: one if one.ndim else one.item() for name, one in stored.items()}
+        datetime.fromisoformat(known["made"])
+        return CoilRun(**known | {"band_hz": tuple(known["band_hz"])})
+    except (OSError, TypeError, EOFError, KeyError, RuntimeError, ValueError):
+        return None
+    except (zipfile.BadZipFile, zlib.error):
         return None
 
 
@@ -357,7 +348,7 @@ class Calibration:
     made: datetime
     folder: Path
     agree: Callable[[Certificate], bool] = lambda _: True
-    on_step: OnStep | None = None
+    on_step: OnStep = lambda _done, _total: None
 
     def run(self) -> Certificate:
         """Measure the coils, make their filters, and verify them by playing through them."""
@@ -369,14 +360,9 @@ class Calibration:
         runs = self.find_runs(within=KEPT)
         n_all = n_coils * (n_main + n_quiet) + n_silent
         n_all += (n_coils - len(runs)) * (n_main + (1 + len(LADDER)) * n_quiet)
-        opened = open_bench(
-            rig,
-            rate_hz=rate_hz,
-            n_longest=max(n_main, n_coils * n_quiet),
-            total_s=n_all / rate_hz,
-            on_step=self.on_step,
-        )
-        with opened as bench:
+        show = {"total_s": n_all / rate_hz, "on_step": self.on_step}
+        n_longest = max(n_main, n_coils * n_quiet)
+        with open_bench(rig, rate_hz=rate_hz, n_longest=n_longest, **show) as bench:
             noise_m_s2 = float(np.linalg.norm(bench.play({}, n=n_silent).std(axis=1)))
             for actuator in (one for one in rig.actuators if one.name not in runs):
                 with _named(actuator.name):
@@ -402,8 +388,7 @@ class Calibration:
             raise ValueError(
                 f"no sweeps of {', '.join(map(repr, missing))} on this rig are stored; run feel321 calibrate"
             )
-        coils = self.design(runs)
-        last = self._find_last()
+        coils, last = self.design(runs), self._find_last()
         known = None if last is None else read_certificate(last)
         if known is not None and known.method == MEASURED:  # where all were in one recording
             for name, coil in coils.items():

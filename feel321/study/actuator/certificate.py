@@ -155,11 +155,6 @@ class Certificate:
         return {"id": self.id, "sha256": self.sha256, "method": self.method}
 
     @property
-    def passed(self) -> bool:
-        """Whether all limits were kept."""
-        return not self.failures
-
-    @property
     def lead_s(self) -> float:
         """Time by which the filters let samples go out before the vibration that they make."""
         return (self._latest - max(coil.latency for coil in self.coils.values())) / self.rate_hz
@@ -174,19 +169,6 @@ class Certificate:
         waits = np.zeros(self._latest - coil.latency - coil.delay)  # so that all move together
         return np.concatenate([waits, coil.equalise(asked_m_s2 / coil.target)])
 
-    def predict(self, frames: NDArray[np.floating[Any]]) -> Samples:
-        """Predict the acceleration at the hand in m/s², shape (3, n), for frames sent, shape (n, channels)."""
-        moved = np.zeros((len(AXES), len(frames)))
-        first = min(coil.latency for coil in self.coils.values())
-        for coil in self.coils.values():
-            drive = np.asarray(frames[:, coil.channel - 1], dtype=np.float64)
-            if not drive.any():
-                continue
-            late = min(coil.latency - first, len(drive))
-            own = coil.respond(drive, rate_hz=self.rate_hz)[: len(drive) - late]
-            moved[:, late:] += np.outer(coil.direction, own)
-        return moved
-
     def apply(self, rig: Rig) -> Rig:
         """Give a rig the full scales that were measured, in which the mixer keeps the limits."""
         scales = {name: {"full_scale_m_s2": coil.target} for name, coil in self.coils.items()}
@@ -196,12 +178,11 @@ class Certificate:
     def find_faults(self, rig: Rig, now: datetime, *, rate_hz: float | None = None) -> list[str]:
         """Find why the certificate is not valid for a rig today, one line each."""
         own, again = digest(rig), "run feel321 calibrate"
-        is_same = own == self.rig_sha256 and {one.name: one.channel for one in rig.actuators} == {
-            name: coil.channel for name, coil in self.coils.items()
-        }
+        channels = {one.name: one.channel for one in rig.actuators}
+        is_same = channels == {name: coil.channel for name, coil in self.coils.items()}
         causes = {
             f"is of another rig (digest {self.rig_sha256[:12]}, this rig's is {own[:12]}); put the old rig.toml back, "
-            f"or {again}": not is_same,
+            f"or {again}": own != self.rig_sha256 or not is_same,
             f"was measured with another sensor, or another scale of it; put [sensor] back, or {again}": (
                 bool(self.sensor and rig.sensor) and rig.sensor != self.sensor
             ),
@@ -252,9 +233,10 @@ def make_manual(
             f"manual gains must name each actuator once ({', '.join(map(repr, names))}), not so: "
             f"{', '.join(map(repr, wrong))}"
         )
-    if wrong := [name for name, gain in gains.items() if not 0 < gain < math.inf]:
-        got = f"{gains[wrong[0]]:g}"
-        raise ValueError(f"gain of {wrong[0]!r} must be positive m/s² per full scale, got {got}")
+    for name, gain in gains.items():
+        if not 0 < gain < math.inf:
+            must = "must be positive m/s² per full scale"
+            raise ValueError(f"gain of {name!r} {must}, got {gain:g}")
     unknown, db = np.full(2, np.nan), rig.calibration.gain_uncertainty_db
     coils = {
         actuator.name: CoilCertificate(
@@ -376,6 +358,6 @@ def draw_certificate(certificate: Certificate, stem: Path) -> None:
         panels[-1].set_xticks([], minor=True)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
-        passed = "passed" if certificate.passed else "did not pass"
-        style.add_title(figure, f"{certificate.id} ({certificate.method}): {passed}")
+        verdict = "did not pass" if certificate.failures else "passed"
+        style.add_title(figure, f"{certificate.id} ({certificate.method}): {verdict}")
         style.save_figure(figure, stem, formats=("svg",))

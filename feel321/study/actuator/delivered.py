@@ -1,4 +1,4 @@
-"""Delivered vibration: what the hand got, as its sensor measured it or a certificate predicts it, and what was asked.
+"""Delivered vibration: what the hand got, as the rig's sensor measured it, compared with what was asked.
 
 A comparison takes out the latency first: the lag with the largest cross-correlation. Level is that of the part of the
 measured motion that follows what was asked, from 20 to 1000 Hz (coherent output power, Bendat & Piersol), so noise does
@@ -6,8 +6,7 @@ not count as vibration; coherence is that part's share of the energy.
 
 The match metrics of a stimulus are those of its reduction, at the recording's own rate, before level, rate and fades.
 So that the delivered metrics differ from them by what the rig did and by nothing else, the rig's error (measured minus
-asked, in the band) is brought to the recording's rate and strength and added to the reduced signal. On a sensor with
-one axis a three-axis stimulus has level and coherence only, in the direction in which it fits best.
+asked, in the band) is brought to the recording's rate and strength and added to the reduced signal.
 """
 
 from collections.abc import Iterable, Mapping
@@ -61,24 +60,15 @@ class Delivery:
 
 
 def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
-    """Compare measured with asked motion in m/s², shapes (axes, m) and (axes, n); of three, one may be measured."""
+    """Compare measured with asked motion in m/s², shapes (axes, m) and (axes, n)."""
     asked, measured = _center(asked), _center(measured)
-    correlation, n = _correlate(asked, measured), asked.shape[-1]
-    if len(measured) < len(asked):
-        # The direction in which the one axis follows best, at the lag at which a least-squares fit explains most.
-        inverse = np.linalg.pinv(asked @ asked.T)
-        explained = np.einsum("in,in->n", correlation, inverse @ correlation)
-        felt = _cut(measured, int(np.argmax(explained)), n)[0]
-        fitted = np.asarray(np.linalg.lstsq(asked.T, felt)[0], dtype=np.float64)
-        asked = fitted[None] / max(float(np.linalg.norm(fitted)), TINY) @ asked
-        correlation = _correlate(asked, measured)
-    total = correlation.sum(axis=0)
+    n, total = asked.shape[-1], _correlate(asked, measured).sum(axis=0)
     lag = int(np.argmax(np.abs(total)))
     polarity = -1 if total[lag] < 0 else 1
     # A path that is slower than the device says is cut off at its end; what is there is compared.
     n_there = max(min(n, measured.shape[-1] - lag), n // 2)
     asked = _center(asked[:, :n_there])
-    felt = polarity * _center(_cut(measured, lag, n_there))
+    felt = polarity * _center(_cut(measured[:, lag:], n_there))
     power, coherent, whole = _find_power(asked, felt, rate_hz=rate_hz)
     level_db = 10 * np.log10(max(coherent, TINY) / max(power, TINY))
     return Delivery(
@@ -87,7 +77,7 @@ def compare(asked: Samples, measured: Samples, *, rate_hz: float) -> Delivery:
         level_error_db=max(float(level_db), LOWEST_DB),
         coherence=coherent / whole if whole > 0 else 0.0,
         rms_m_s2=float(np.sqrt(np.mean(np.square(measured).sum(axis=0)))),
-        error=_cut(felt - asked, 0, n),
+        error=_cut(felt - asked, n),
     )
 
 
@@ -104,8 +94,8 @@ def _correlate(asked: Samples, measured: Samples) -> Samples:
     return np.asarray(fft.irfft(together, n)[:, :m])
 
 
-def _cut(measured: Samples, lag: int, n: int) -> Samples:
-    piece = measured[:, lag : lag + n]
+def _cut(samples: Samples, n: int) -> Samples:
+    piece = samples[:, :n]
     return np.pad(piece, ((0, 0), (0, n - piece.shape[-1])))
 
 
@@ -147,13 +137,12 @@ class Baseline:
         """Match the reduced signal with the rig's error, shape (axes, n), on it."""
         original, rate = self.reduction.acceleration, self.reduction.rate_hz
         shape = self.reduction.samples.shape
-        at_rate = _cut(resample(error, rate_hz, to_hz=rate) / self.gain, 0, shape[-1])
+        at_rate = _cut(resample(error, rate_hz, to_hz=rate) / self.gain, shape[-1])
         band_hz = (LOWEST_HZ * (1 - REACH), HIGHEST_HZ * (1 + REACH))
         own = _limit(at_rate, rate, band_hz=band_hz).reshape(shape)
-        delivered = self.reduction.samples + own
+        one = delivered = self.reduction.samples + own
         if delivered.ndim == 1:
             correlations = axis_correlations(original, delivered)
-            one = delivered
         else:
             pairs = zip(original, delivered, strict=True)
             correlations = np.concatenate([axis_correlations(a[None], b) for a, b in pairs])
@@ -164,22 +153,6 @@ class Baseline:
             "temporal_match": float(mean_over_axes(correlations)),
             "spectral_match_bounded": float(bounded),
         }
-
-
-def find_moves(rig: Rig, n_tracks: int, directions: Mapping[str, Samples] | None = None) -> Samples:
-    """Find how each of 1 or 3 tracks of a stimulus moves the hand, shape (axes, n_tracks), by directions of the coils.
-
-    Those of rig.toml by default; where it gives none either, a track moves the hand as it is.
-    """
-    sources, mix = (REDUCED,) if n_tracks == 1 else AXES, find_mix(rig)
-    if directions is None:
-        directions, unknown = find_directions(rig)
-        if any(source in mix[name] for name in unknown for source in sources):
-            return np.eye(n_tracks)
-    moves = np.zeros((len(next(iter(directions.values()))), n_tracks))
-    for name, direction in directions.items():
-        moves += np.outer(direction, [mix[name].get(source, 0.0) for source in sources])
-    return moves
 
 
 def reduce_stimuli(
@@ -218,25 +191,13 @@ class DeliveryCheck:
     ) -> None:
         self._stimuli, self._rig, self._full_scale = stimuli, rig, full_scale_m_s2
         self._reduced, self._is_calibrated = reduced, certificate is not None
-        # Typed gains predict what was asked, and show no directions.
-        is_measured = certificate is not None and certificate.method == MEASURED
-        self._certificate = certificate if is_measured else None
-        self._diagnosis: Diagnosis | None = None
-        if self._certificate and rig.sensor is not None and len(rig.sensor.inputs) == len(AXES):
-            self._diagnosis = Diagnosis(self._certificate, rig, tolerance_db=tolerance_db)
-        self._predicted: dict[str, dict[str, float]] = {}
         self._own = {stimulus.stimulus_id for stimulus in stimuli}
-
-    def describe(self, stimulus_id: str, sent: Frames, sensed: Frames | None) -> dict[str, float]:
-        """Compare what the sensor measured, in m/s², (axes, m), since the onset was sent; else what is predicted."""
-        if stimulus_id not in self._own:  # a tone of the threshold block
-            return {}
-        if sensed is not None:
-            return self.measure(stimulus_id, np.asarray(sensed, dtype=np.float64))
-        if self._certificate is not None and stimulus_id not in self._predicted:
-            moved = self._certificate.predict(sent)
-            self._predicted[stimulus_id] = self._compare(stimulus_id, moved)[1]
-        return self._predicted.get(stimulus_id, {})
+        self._seen: dict[str, Samples] = {}  # directions in which the sensor saw the coils move
+        self._diagnosis: Diagnosis | None = None
+        if certificate is not None and certificate.method == MEASURED:  # typed gains show none
+            self._seen = {name: coil.direction for name, coil in certificate.coils.items()}
+            if rig.sensor is not None:
+                self._diagnosis = Diagnosis(certificate, rig, tolerance_db=tolerance_db)
 
     def diagnose(
         self, sent: Frames, sensed: Frames | None, *, keeps_latency: bool
@@ -250,47 +211,44 @@ class DeliveryCheck:
         found = diagnosis.judge(sent, np.asarray(sensed, dtype=np.float64))
         return (found, "") if diagnosis.is_grave else ("", found)
 
-    def measure(self, stimulus_id: str, measured: Samples) -> dict[str, float]:
-        """Compare what the sensor measured, shape (axes, m)."""
-        found, values = self._compare(stimulus_id, measured)
-        return values | {
+    def describe(self, stimulus_id: str, sensed: Frames | Samples | None) -> dict[str, float]:
+        """Compare what the sensor measured, in m/s², (3, m), since the onset was sent; tones have no comparison."""
+        if sensed is None or stimulus_id not in self._own:
+            return {}
+        samples, rate = self._stimuli.read(stimulus_id)
+        tracks, measured = np.atleast_2d(samples) * self._full_scale, np.asarray(sensed, np.float64)
+        moves = find_moves(self._rig, len(tracks), self._seen)
+        asked = moves @ tracks
+        if len(measured) > len(moves):  # the direction in which they follow the one asked axis
+            correlation = _correlate(asked, _center(measured))
+            ways = correlation[:, np.argmax(np.einsum("in,in->n", correlation, correlation))]
+            measured = ways[None] / max(float(np.linalg.norm(ways)), TINY) @ measured
+        back = np.linalg.pinv(moves)  # to the stimulus's own axes and strength
+        found = compare(back @ asked, back @ measured, rate_hz=rate)
+        reduced = self._reduced.get(stimulus_id)
+        matches = reduced.match(found.error, rate_hz=rate) if reduced else {}
+        return {
+            "level_error_db": found.level_error_db,
+            **{name: value for name, value in matches.items() if np.isfinite(value)},
             "lag": float(found.lag),
             "polarity": float(found.polarity),
             "coherence": found.coherence,
             "rms_m_s2": found.rms_m_s2,
             "is_calibrated": float(self._is_calibrated),
-            "is_measured": float(self._certificate is not None),
+            "is_measured": float(bool(self._seen)),
         }
 
-    def _find_seen(self, n_axes: int) -> dict[str, Samples] | None:
-        """Find the directions in which the sensor saw the coils move when they were calibrated, if it did."""
-        if self._certificate is None:
-            return None
-        seen = {name: coil.direction for name, coil in self._certificate.coils.items()}
-        if n_axes == len(AXES):
-            return seen
-        # One axis saw each coil alone, as strong as it was asked to be; the sign stands in its direction.
-        typed, along = find_directions(self._rig)[0], np.eye(3)[0]
-        return {name: np.sign([own @ typed.get(name, along)]) for name, own in seen.items()}
 
-    def _compare(self, stimulus_id: str, measured: Samples) -> tuple[Delivery, dict[str, float]]:
-        samples, rate = self._stimuli.read(stimulus_id)
-        tracks = np.atleast_2d(samples) * self._full_scale
-        moves = find_moves(self._rig, len(tracks), self._find_seen(len(measured)))
-        if len(measured) < len(moves) and len(tracks) == 1:  # the sensor looks along the motion
-            moves = np.full((1, 1), np.linalg.norm(moves))
-        asked = moves @ tracks
-        if len(measured) > len(moves):  # the direction in which they follow one asked axis
-            correlation = _correlate(asked, _center(measured))
-            ways = correlation[:, np.argmax(np.einsum("in,in->n", correlation, correlation))]
-            measured = ways[None] / max(float(np.linalg.norm(ways)), TINY) @ measured
-        if len(measured) == len(moves) >= len(tracks):  # in the stimulus's own axes and strength
-            back = np.linalg.pinv(moves)
-            asked, measured = back @ asked, back @ measured
-        found = compare(asked, measured, rate_hz=rate)
-        values = {"level_error_db": found.level_error_db}
-        reduced = self._reduced.get(stimulus_id)
-        if reduced is not None and len(found.error) == len(tracks):
-            matches = reduced.match(found.error, rate_hz=rate)
-            values |= {name: value for name, value in matches.items() if np.isfinite(value)}
-        return found, values
+def find_moves(rig: Rig, n_tracks: int, seen: Mapping[str, Samples]) -> Samples:
+    """Find how each of 1 or 3 tracks of a stimulus moves the hand, shape (axes, n_tracks), by directions of the coils.
+
+    Those of rig.toml where none were seen; where it gives none either, a track moves the hand as it is.
+    """
+    sources, mix = (REDUCED,) if n_tracks == 1 else AXES, find_mix(rig)
+    directions, unknown = (seen, []) if seen else find_directions(rig)
+    if any(source in mix[name] for name in unknown for source in sources):
+        return np.eye(n_tracks)
+    moves = np.zeros((len(AXES), n_tracks))
+    for name, direction in directions.items():
+        moves += np.outer(direction, [mix[name].get(source, 0.0) for source in sources])
+    return moves

@@ -1,6 +1,6 @@
-"""PortAudio: its devices, and one open stream to one of them; and ports for triggers.
+"""What a rig plays on: PortAudio's devices, simulated voice coils, WAV files; and ports for triggers.
 
-Only this module knows sounddevice and PsychoPy's ports. All times are the device's own, in s.
+Only this module knows sounddevice and PsychoPy's ports. All times are the sink's own, in s.
 """
 
 import os
@@ -8,19 +8,28 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
-from math import ceil, nan
-from threading import Thread
+from math import ceil, inf, nan
+from threading import Event, Thread
 from time import perf_counter, sleep
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+from scipy import signal
+
 from feel321.study.actuator.mixer import Frames
-from feel321.study.actuator.rig import Rig, TriggerTable
+from feel321.study.actuator.rig import (
+    FILE_DEVICE,
+    SIMULATED_DEVICE,
+    CoilTable,
+    Rig,
+    SimulationTable,
+    TriggerTable,
+)
+from feel321.types import Samples
 
 Foreign = Any  # sounddevice has no types
-SessionClock = Callable[
-    [], float
-]  # in s since the session began, without time between its openings
+SessionClock = Callable[[], float]  # in s since the session began, its interruptions left out
 Fill = Callable[[Frames, "BlockTimes", Frames | None], None]
 
 FALLBACKS = ("default", "sysdefault")  # not always the same device, so no study can use them
@@ -40,8 +49,7 @@ class Device:
     @property
     def is_program(self) -> bool:
         """Whether a sound server stands before the hardware, which may convert rate and channels without notice."""
-        is_card = self.host_api != "ALSA" or "(hw:" in self.name
-        return self.host_api in PROGRAMS or not is_card
+        return self.host_api in PROGRAMS or (self.host_api == "ALSA" and "(hw:" not in self.name)
 
 
 def list_devices() -> list[Device]:
@@ -56,8 +64,7 @@ def list_devices() -> list[Device]:
 def find_devices(rig: Rig) -> tuple[Device, Device]:
     """Find the devices that play on a rig and measure there, and check that they have the channels it names."""
     devices = list_devices()
-    device = find_device(devices, rig.device.name, host_api=rig.device.host_api)
-    source = device
+    device = source = find_device(devices, rig.device.name, host_api=rig.device.host_api)
     if rig.sensor is not None and rig.sensor.device is not None:
         inputs = [one for one in devices if one.n_inputs and one.host_api == device.host_api]
         source = _pick(inputs, rig.sensor.device, listed=inputs, which=" of [sensor]")
@@ -94,7 +101,7 @@ def _pick(devices: Sequence[Device], name: str, *, listed: Sequence[Device], whi
 
 def check_channels(rig: Rig, device: Device, source: Device) -> None:
     """Refuse devices that lack a channel that the rig names."""
-    n_inputs = max(rig.sensor.inputs) if rig.sensor else 0
+    n_inputs = max(rig.sensor.channels) if rig.sensor else 0
     for name, kind, needed, there in (
         (device.name, "output", rig.n_channels, device.n_outputs),
         (source.name, "input", n_inputs, source.n_inputs),
@@ -108,12 +115,11 @@ def check_channels(rig: Rig, device: Device, source: Device) -> None:
 
 def list_rates(device: Device, rates_hz: Sequence[float]) -> list[float]:
     """List the rates at which a device would play on one channel, of those that are tried."""
-    sounddevice, settings = _load(), {"device": device.index, "channels": 1, "dtype": "float32"}
-    taken = []
+    sounddevice, taken = _load(), []
     with _silence_stderr():
         for rate_hz in rates_hz:
             with suppress(sounddevice.PortAudioError):
-                sounddevice.check_output_settings(**settings, samplerate=rate_hz)
+                sounddevice.check_output_settings(device.index, 1, "float32", samplerate=rate_hz)
                 taken.append(rate_hz)
     return taken
 
@@ -194,14 +200,12 @@ class Sink:
     latency_s: from a block to its sound; there_and_back_s: from a block to what the sensor makes of it.
     """
 
-    latency_s = 0.0
-    there_and_back_s = 0.0
+    latency_s = there_and_back_s = 0.0
     name = ""
-    identity: dict[str, object]
 
     def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
         self._rig, self._rate_hz, self._fill, self._clock = rig, rate_hz, fill, clock
-        self.identity = {"device": self.name}
+        self.identity: dict[str, object] = {"device": self.name}
 
     def find_fault(self) -> str:
         """Describe why it does not run; empty if it does."""
@@ -229,24 +233,23 @@ class DeviceStream(Sink):
         super().__init__(rig, rate_hz=rate_hz, fill=fill, clock=clock)
         device, source = find_devices(rig)
         self.name, sensor = device.name, rig.sensor
-        self.identity = {"device": device.name, "host_api": device.host_api}
-        self.identity["is_program"] = device.is_program
-        self._columns = [channel - 1 for channel in sensor.inputs] if sensor else None
+        self._columns = [channel - 1 for channel in sensor.channels] if sensor else []
+        known = {"host_api": device.host_api, "is_program": device.is_program}
+        self.identity: dict[str, object] = {"device": device.name, **known}
         # What the device has to play: sound servers do not always say that it ran out.
         self._held_s, self._is_closed = OPENED_S, False
         self._untimed_s = nan  # time of the last call that did not say when its samples leave
-        settings: dict[str, Any] = {"samplerate": rate_hz, "dtype": "float32"}
-        settings["latency"] = rig.device.latency_s
+        settings = {"samplerate": rate_hz, "dtype": "float32", "latency": rig.device.latency_s}
         try:
             with _silence_stderr():
                 if sensor is None:
                     settings |= {"device": device.index, "channels": rig.n_channels}
-                    serve = partial(self._serve, None)
-                    self._stream = _load().OutputStream(callback=serve, **settings)
+                    settings["callback"] = partial(self._serve, None)
+                    self._stream = _load().OutputStream(**settings)
                     self.latency_s = self.there_and_back_s = float(self._stream.latency)
                 else:
                     settings["device"] = (source.index, device.index)
-                    settings["channels"] = (max(sensor.inputs), rig.n_channels)
+                    settings["channels"] = (max(sensor.channels), rig.n_channels)
                     self._stream = _load().Stream(callback=self._serve, **settings)
                     self.latency_s = float(self._stream.latency[1])
                     self.there_and_back_s = float(sum(self._stream.latency))
@@ -336,6 +339,150 @@ class DeviceStream(Sink):
             return dac_s, FROM_DEVICE
         self._untimed_s = now_s
         return max(dac_s, now_s) + self.latency_s, FROM_LATENCY
+
+
+BLOCK_FRAMES = 512  # longest delay of a stop, as with a device
+MOST_BEHIND_S = 0.2  # of its own time: a machine that lags by more slows the device down
+
+
+class FileSink(Sink):
+    """Keeps the blocks of a playback, which are filled in the time that they would take."""
+
+    name = FILE_DEVICE
+
+    def begin(self) -> None:
+        """Begin a playback."""
+        self._begin_s = self._clock()
+        self.blocks: list[Frames] = []
+
+    def serve_due(self) -> bool:
+        """Fill a block that would have been played by now; returns whether there was one."""
+        n_filled = BLOCK_FRAMES * len(self.blocks)
+        if (self._clock() - self._begin_s) * self._rate_hz - n_filled < BLOCK_FRAMES:
+            return False
+        out = np.zeros((BLOCK_FRAMES, self._rig.n_channels), dtype=np.float32)
+        sent_s = self._begin_s + n_filled / self._rate_hz
+        # What is in a file is out.
+        self._fill(out, BlockTimes(now_s=inf, dac_s=sent_s, dac_source=""), None)
+        self.blocks.append(out)
+        return True
+
+
+class SimulatedCoil:
+    """A voice coil at work: a causal filter that takes drive block by block and keeps its state between blocks.
+
+    Acceleration over force of a mass on a damped spring is `s² / (s² + s ω₀ / Q + ω₀²)`, made discrete by the bilinear
+    transform with the resonance kept in its place. How drive is cut into blocks changes nothing, noise included.
+    """
+
+    def __init__(self, coil: CoilTable, *, rate_hz: float, rng: np.random.Generator) -> None:
+        if not rate_hz > 2 * coil.resonance_hz:
+            raise ValueError(
+                f"rate_hz must be above twice the resonance of {coil.resonance_hz:g} Hz, got {rate_hz:g}"
+            )
+        self._coil, self._rng = coil, rng
+        direction = np.array(coil.direction or (1.0, 0.0, 0.0))
+        self._direction = direction / np.linalg.norm(direction)
+        self._b, self._a = discretise(coil, rate_hz=rate_hz)
+        self._state, self._line = np.zeros(2), np.zeros(coil.latency)
+
+    def process(self, drive: Samples) -> Samples:
+        """Return acceleration in m/s², shape (3, n), for drive in full scales, shape (n,)."""
+        coil, n = self._coil, len(drive)
+        self._line = np.concatenate([self._line, drive])
+        late, self._line = self._line[:n], self._line[n:]
+        if coil.saturation is not None:
+            late = coil.saturation * np.tanh(late / coil.saturation)
+        moved, self._state = signal.lfilter(self._b, self._a, late, zi=self._state)
+        noise = self._rng.standard_normal((n, 3)).T  # in time order, so that blocks do not matter
+        motion: Samples = np.outer(self._direction, coil.full_scale_m_s2 * moved)
+        return motion + coil.noise_m_s2 * noise
+
+
+def discretise(coil: CoilTable, *, rate_hz: float) -> tuple[Samples, Samples]:
+    """Make numerator and denominator, shape (3,) each, of a coil's digital filter of unit gain at high frequencies."""
+    omega = 2 * rate_hz * np.tan(np.pi * coil.resonance_hz / rate_hz)
+    b, a = signal.bilinear([1.0, 0.0, 0.0], [1.0, omega / coil.q, omega**2], fs=rate_hz)
+    return np.asarray(b, dtype=np.float64), np.asarray(a, dtype=np.float64)
+
+
+class Hardware:
+    """The coils and the sensor of a rig, without a device; they keep their state between blocks."""
+
+    def __init__(self, rig: Rig, *, rate_hz: float) -> None:
+        simulation = rig.simulation or SimulationTable()
+        tables = {coil.name: coil for coil in simulation.coils}
+        self._rng = np.random.default_rng(simulation.seed)
+        self._coils = []
+        for actuator in rig.actuators:
+            own = tables.get(actuator.name, CoilTable(name=actuator.name))
+            late = own.latency + simulation.latency
+            direction = own.direction or actuator.direction
+            own = own.model_copy(update={"direction": direction, "latency": late})
+            coil = SimulatedCoil(own, rate_hz=rate_hz, rng=self._rng)
+            self._coils.append((actuator.channel - 1, coil))
+        self._noise_m_s2 = simulation.noise_m_s2
+        self._sensor = rig.sensor
+
+    def sense(self, out: Frames) -> Frames | None:
+        """Return what the sensor's inputs get for frames sent, shape (n, channels), as parts of its full scale."""
+        motion = self._noise_m_s2 * self._rng.standard_normal((3, len(out)))
+        for column, coil in self._coils:
+            motion += coil.process(out[:, column].astype(np.float64))
+        if self._sensor is None:
+            return None
+        return np.clip(motion.T / self._sensor.full_scale_m_s2, -1, 1).astype(np.float32)
+
+
+class SimulatedStream(Sink):
+    """Coils of `[simulation]` that a thread moves, block by block, as a device would."""
+
+    name = SIMULATED_DEVICE
+
+    def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
+        super().__init__(rig, rate_hz=rate_hz, fill=fill, clock=clock)
+        self.identity |= {"host_api": "feel321", "is_program": False}
+        simulation = rig.simulation or SimulationTable()
+        self.latency_s = rig.device.latency_s
+        self.there_and_back_s = rig.device.latency_s + simulation.latency / rate_hz
+        self._hardware, self._speed = Hardware(rig, rate_hz=rate_hz), simulation.speed
+        self._sensed = self._hardware.sense(np.zeros((BLOCK_FRAMES, rig.n_channels), np.float32))
+        self._begin_s, self._frame = perf_counter(), 0
+        self._closing = Event()
+        self._thread = Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def find_fault(self) -> str:
+        """Say whether it has stopped asking for blocks."""
+        return "" if self._thread.is_alive() else "stopped"
+
+    def compare_clocks(self) -> float:
+        """Find by how much the session's clock is ahead of the device's, in s."""
+        return self._clock() - (perf_counter() - self._begin_s) * self._speed
+
+    def close(self) -> None:
+        """Silence the device and let it go."""
+        self._closing.set()
+        self._thread.join()
+
+    def _run(self) -> None:
+        block_s = BLOCK_FRAMES / self._rate_hz
+        while not self._closing.is_set():
+            behind_s = (perf_counter() - self._begin_s) * self._speed - self._frame / self._rate_hz
+            if behind_s < block_s:
+                self._closing.wait((block_s - behind_s) / self._speed)
+                continue
+            if behind_s > MOST_BEHIND_S * max(self._speed, 1.0):
+                self._begin_s += behind_s / self._speed
+            self._serve()
+
+    def _serve(self) -> None:
+        out = np.zeros((BLOCK_FRAMES, self._rig.n_channels), dtype=np.float32)
+        now_s = self._frame / self._rate_hz
+        self._frame += BLOCK_FRAMES
+        # As with a device, what is sensed is of the block before.
+        self._fill(out, BlockTimes(now_s=now_s, dac_s=now_s + self.latency_s), self._sensed)
+        self._sensed = self._hardware.sense(out)
 
 
 LOOK_S = 0.0005  # between two looks at whether the onset is known, and whether it is there

@@ -17,7 +17,7 @@ from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import Response, Sweep, find_inside, make_sweep, measure_sweep
-from feel321.study.actuator.rig import AXES, ActuatorTable, Rig, require_sensor
+from feel321.study.actuator.rig import ActuatorTable, Rig, require_sensor
 
 if TYPE_CHECKING:
     from feel321.study.actuator.mixer import Frames
@@ -54,7 +54,7 @@ def survey_devices() -> list[dict[str, Any]]:
 
 
 def examine_rig(
-    rig: Rig, *, rate_hz: float, seconds: float, on_step: Callable[[int, int], None] | None = None
+    rig: Rig, *, rate_hz: float, seconds: float, on_step: Callable[[int, int], None]
 ) -> dict[str, Any]:
     """Play pulses on all actuators, and measure latency, jitter and failures; on_step gets the ms passed, and all."""
     pulse = make_pulse(rig, rate_hz=rate_hz, seconds=min(PULSE_S, rig.limits.duration_s))
@@ -63,8 +63,7 @@ def examine_rig(
     with open_output(rig, {"": pulse}, rate_hz=rate_hz, clock=perf_counter) as output:
         begin_s = perf_counter()
         while (passed_s := perf_counter() - begin_s) < seconds or not played:
-            if on_step is not None:
-                on_step(round(1e3 * passed_s), round(1e3 * seconds))
+            on_step(round(1e3 * passed_s), round(1e3 * seconds))
             output.start("", gap_s=GAPS_S[len(played) % len(GAPS_S)])
             while output.is_playing:
                 sleep(0.001)
@@ -141,7 +140,11 @@ AUDIBLE = 3.0  # ratio of a hum to the noise without it
 def probe_coils(
     rig: Rig, certificate: Certificate | None, *, rate_hz: float
 ) -> tuple[dict[str, dict[str, Any]], str]:
-    """Play a probe on each coil in turn, and find what is wrong with each; and a hum, while nothing plays."""
+    """Play a probe on each coil in turn, and find what is wrong with each; and a hum, while nothing plays.
+
+    Of each coil: level_m_s2, the median response at full scale; direction; coherence; delay_ms since it was sent;
+    distortion; fault.
+    """
     sweep = Sweep(
         rate_hz=rate_hz,
         band_hz=(PROBE_HZ[0], min(PROBE_HZ[1], rate_hz / 4)),
@@ -152,7 +155,7 @@ def probe_coils(
     )
     asked, found, sensor = make_sweep(sweep), dict[str, dict[str, Any]](), require_sensor(rig)
     known = certificate if certificate and certificate.method == MEASURED else None
-    diagnosis = faults.Diagnosis(known, rig) if known and len(sensor.inputs) == len(AXES) else None
+    diagnosis = faults.Diagnosis(known, rig) if known else None
     if diagnosis is not None:
         diagnosis.lag = None  # a stream that was opened anew has not the certificate's latency
     with open_bench(rig, rate_hz=rate_hz, n_longest=len(asked)) as bench:
@@ -164,8 +167,7 @@ def probe_coils(
                 safe = SAFE * min(rig.limits.peak_m_s2, sensor.full_scale_m_s2)
                 peak = min(peak, safe / float(np.abs(motion).max()))
             recorded = bench.play({actuator.channel: peak * asked}, n=len(asked))
-            own = replace(sweep, peak=peak)
-            seen = measure_sweep(own, recorded) if np.ptp(recorded) else None
+            seen = measure_sweep(replace(sweep, peak=peak), recorded) if np.ptp(recorded) else None
             if diagnosis:
                 # One sweep only: a converter at another rate need not stretch the pause before the second.
                 sent = np.zeros((sweep.period, rig.n_channels), dtype=np.float32)
@@ -175,22 +177,17 @@ def probe_coils(
             else:
                 fault = find_fault(rig, actuator, seen, recorded=recorded, sent=peak * asked)
             found[actuator.name] = {**_describe(seen), "fault": fault}
-    return found, _find_hum(silence, rate_hz=rate_hz)
-
-
-def _find_hum(silence: Samples, *, rate_hz: float) -> str:
     still = silence - silence.mean(axis=1, keepdims=True)
     hum_hz, rms = faults.find_hum(still, rate_hz=rate_hz, size=0.0)
     rest = float(np.mean(np.square(still).sum(axis=0))) - rms**2
     is_heard = hum_hz and rms >= AUDIBLE * math.sqrt(max(rest, 0.0))
-    return faults.describe_hum(hum_hz, rms) if is_heard else ""
+    return found, faults.describe_hum(hum_hz, rms) if is_heard else ""
 
 
 def _describe(seen: Response | None) -> dict[str, Any]:
-    """Describe a probe; level_m_s2: median response at full scale; delay_ms: since it was sent."""
     if seen is None:
-        none = {"delay_ms": None, "distortion": None}
-        return {"level_m_s2": 0.0, "direction": [], "coherence": 0.0, **none}
+        names = ("level_m_s2", "direction", "coherence", "delay_ms", "distortion")
+        return dict(zip(names, (0.0, [], 0.0, None, None), strict=True))
     inside = find_inside(seen.frequency_hz, band_hz=seen.band_hz)
     return {
         "level_m_s2": float(np.median(np.abs(seen.response[inside]))),
@@ -205,13 +202,12 @@ def find_fault(
     rig: Rig, actuator: ActuatorTable, seen: Response | None, *, recorded: Samples, sent: Samples
 ) -> str:
     """Name what is wrong with a coil that has no certificate, by what its probe moved."""
-    if fault := faults.find_sensor_fault(
-        recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2
-    ):
+    fault = faults.find_sensor_fault(recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2)
+    if fault or seen is None:
         return fault
     probe = _describe(seen)
-    if seen is None or probe["coherence"] < SEEN:
-        return _find_rate(sent, recorded, rate_hz=seen.rate_hz if seen else math.nan) or (
+    if probe["coherence"] < SEEN:
+        return _find_rate(sent, recorded, rate_hz=seen.rate_hz) or (
             f"dead: no motion follows the probe (coherence {probe['coherence']:.2f}, expected {SEEN:g} or more); check "
             "coil, cable, amplifier, its channel in rig.toml, and the sensor"
         )
@@ -232,7 +228,7 @@ def _find_turned(rig: Rig, actuator: ActuatorTable, seen: Samples) -> str:
     """Name a coil that is inverted, or moves as another one should, by the directions of rig.toml."""
     typed, _ = find_directions(rig)
     own = typed.pop(actuator.name, None)
-    if own is None or len(seen) != len(own) or seen @ own > LIKELY:
+    if own is None or seen @ own > LIKELY:
         return ""
     if seen @ own < -LIKELY:
         return "inverted: exchange its wires"

@@ -107,12 +107,8 @@ def find_resonance(coil: CoilCertificate) -> tuple[float, float]:
         level = 2 * np.log(at_hz) - np.log(np.abs(_swing(at_hz, *np.exp(x[:2]))))
         return np.asarray((size - x[2] - level) / np.sqrt(at_hz))
 
-    found = [
-        optimize.least_squares(
-            miss, [math.log(start_hz), 0.5, float(np.median(size))], loss="soft_l1", f_scale=0.02
-        )
-        for start_hz in (float(at_hz[int(np.argmax(size))]), 80.0, 160.0)
-    ]
+    starts = ([math.log(hz), 0.5, np.median(size)] for hz in (at_hz[np.argmax(size)], 80.0, 160.0))
+    found = [optimize.least_squares(miss, x, loss="soft_l1", f_scale=0.02) for x in starts]
     resonance_hz, q = np.exp(min(found, key=lambda one: float(one.cost)).x[:2])
     return float(resonance_hz), float(q)
 
@@ -177,23 +173,19 @@ class Scene:
         return moved
 
     def _find_lag(self) -> tuple[int, float]:
-        explained = np.zeros((len(self.groups), self.n_grid // self._coarse))
+        n = self.n_grid // self._coarse
+        explained = np.zeros((len(self.groups), n))
         for row, own in enumerate(self.groups):
             for other in self.groups:
                 if (size := energy(self.asked[own, other])) > TINY:
-                    found = self._correlate(self.actual[own] * self.asked[own, other].conj())
+                    cross = np.zeros(n // 2 + 1, dtype=np.complex128)
+                    cross[self._inside] = self.actual[own] * self.asked[own, other].conj()
+                    found = fft.irfft(cross, n) * n / 2
                     explained[row] = np.maximum(explained[row], found**2 / size)
         total = explained.sum(axis=0)
         place = int(np.argmax(total))
         whole = sum(map(energy, self.actual.values()))
         return place * self._coarse, float(total[place] / max(whole, TINY))
-
-    def _correlate(self, cross: Spectrum) -> Samples:
-        n = self.n_grid // self._coarse
-        spectrum = np.zeros(n // 2 + 1, dtype=np.complex128)
-        spectrum[self._inside] = cross
-        found: Samples = fft.irfft(spectrum, n) * n / 2
-        return found
 
     def find_noise(self, group: str) -> float:
         """Find the energy of a coil's noise in the band: that before the onset, or the certificate's."""
@@ -231,7 +223,7 @@ class Scene:
         """Fit gain, sign and lag of a coil to its motion; with its resonance and Q, changes of these too."""
         actual, size = self.actual[group], math.sqrt(max(energy(self.actual[group]), TINY))
         start = complex(np.vdot(asked, actual)) / max(energy(asked), TINY)
-        sign = -1 if start.real < 0 else 1
+        sign, n_free = -1 if start.real < 0 else 1, 2 if swings is None else 4
 
         def reshape(x: Samples) -> Spectrum:
             if swings is None:
@@ -243,15 +235,12 @@ class Scene:
             turned = sign * np.exp(x[0] - 2j * np.pi * self.at_hz * x[1] / 1e3)
             return np.asarray((actual - turned * reshape(x)) / size).view(np.float64)
 
-        n_free = 2 if swings is None else 4
-        low, high = [-12.0, -2.0, -1.0, -2.0], [5.0, 2.0, 1.0, 2.0]
-        first = [min(max(math.log(max(abs(start), TINY)), -11.9), 4.9), 0.0, 0.0, 0.0]
-        found = optimize.least_squares(
-            miss,
-            first[:n_free],
-            bounds=(low[:n_free], high[:n_free]),
-            x_scale=[0.1, 0.1, 0.05, 0.2][:n_free],
-        )
+        # Log gain, lag in ms, log resonance, log damping: first guess, bounds, scale.
+        gain = min(max(math.log(max(abs(start), TINY)), -11.9), 4.9)
+        free = np.array([
+            [gain, 0.0, 0.0, 0.0], [-12.0, -2.0, -1.0, -2.0], [5.0, 2.0, 1.0, 2.0], [0.1, 0.1, 0.05, 0.2],
+        ])[:, :n_free]  # fmt: skip
+        found = optimize.least_squares(miss, free[0], bounds=(free[1], free[2]), x_scale=free[3])
         jacobian = np.asarray(found.jac)
         spread = np.linalg.pinv(jacobian.T @ jacobian) * 2 * found.cost / len(self.at_hz)
         x = np.array([*found.x, 0.0, 0.0])
@@ -268,7 +257,7 @@ class Scene:
 
 
 class Diagnosis:
-    """Judges the playbacks of a rig with a measured certificate and a three-axis sensor.
+    """Judges the playbacks of a rig with a measured certificate and a sensor.
 
     lag, motions: of the last playback, in samples, and by coil. is_grave: whether a fault of it may have been felt: not
     if each coil did what was sent to it, within tolerance_db (None for any) and the rig's own `max_distortion`.
@@ -280,12 +269,11 @@ class Diagnosis:
         self.certificate, self.is_grave = certificate, False
         self._tolerance_db = math.inf if tolerance_db is None else tolerance_db
         self._settings, self._full_scale = rig.calibration, require_sensor(rig).full_scale_m_s2
-        groups = group_coils(certificate)
-        self._resonances = {name: find_resonance(group[0]) for name, group in groups.items()}
-        self._distorts = {
-            name: DISTORTS + 2 * max(float(np.nan_to_num(one.total_distortion)) for one in group)
-            for name, group in groups.items()
-        }
+        self._resonances, self._distorts = dict[str, tuple[float, float]](), dict[str, float]()
+        for name, group in group_coils(certificate).items():
+            self._resonances[name] = find_resonance(group[0])
+            known = max(float(np.nan_to_num(one.total_distortion)) for one in group)
+            self._distorts[name] = DISTORTS + 2 * known
         self.lag: float | None = float(min(one.latency for one in certificate.coils.values()))
         # A stream that was opened anew, or interrupted, holds more or less than before, in whole blocks.
         self._most_s = rig.device.latency_s / BLOCKS
@@ -363,7 +351,13 @@ class Diagnosis:
             told = {"all coils": f"gain {np.mean(gains):+.1f} dB: the amplifier's or the sensor's"}
         yield from (f"{name}: {cause}" for name, cause in told.items())
         if not told:
-            yield from self._find_delay([one.fit.lag for one in asked], scene.rate_hz)
+            before, self.lag = self.lag, float(np.median([one.fit.lag for one in asked]))
+            moved_s = 0.0 if before is None else (self.lag - before) / scene.rate_hz
+            if LATE_S < abs(moved_s) < self._most_s:
+                yield (
+                    f"delay moved by {1e3 * moved_s:+.1f} ms: something between output and coils holds more or less "
+                    "than before"
+                )
 
     def _find_rate(self, scene: Scene, sent: Frames, measured: Samples) -> str:
         """Name a converter that runs at another rate; else what is known, or nothing if most follows."""
@@ -438,14 +432,6 @@ class Diagnosis:
         if motion.fit.left > FOLLOWS:
             return _describe_unknown([motion])
         return f"rattle, {told}: something touches or is loose; fasten it"
-
-    def _find_delay(self, lags: Sequence[float], rate_hz: float) -> Iterator[str]:
-        before, self.lag = self.lag, float(np.median(lags))
-        if before is not None and LATE_S < abs(self.lag - before) / rate_hz < self._most_s:
-            yield (
-                f"delay moved by {1e3 * (self.lag - before) / rate_hz:+.1f} ms: something between output and coils "
-                "holds more or less than before"
-            )
 
 
 def _describe_unknown(motions: Iterable[Motion]) -> str:

@@ -20,11 +20,18 @@ import numpy as np
 
 from feel321.files import make_folder, write_bytes
 from feel321.stimuli.wav import encode_wav
-from feel321.study.actuator.device import DeviceStream, Sink, Trigger, join, refresh_devices
+from feel321.study.actuator.device import (
+    DeviceStream,
+    FileSink,
+    SimulatedStream,
+    Sink,
+    Trigger,
+    join,
+    refresh_devices,
+)
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.response import Sweep, find_slip
 from feel321.study.actuator.rig import Rig, advise_latency, identify, require_sensor
-from feel321.study.actuator.simulated import FileSink, SimulatedStream
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
 
@@ -76,8 +83,7 @@ class Take(Cue):
             return
         n_since = frame - self.end_frame
         # Some host interfaces give no times: then the sink's own latency counts, twice to be safe.
-        n_late = round(2 * self.latency_s * self.rate_hz)
-        is_heard = block.now_s >= self.end_s or n_since >= n_late
+        is_heard = block.now_s >= self.end_s or n_since >= round(2 * self.latency_s * self.rate_hz)
         # Times of inputs are less true than those of outputs, so the sensor is recorded by frames.
         n_sensed = round((self.latency_s + SENSOR_TAIL_S) * self.rate_hz)
         self.is_out = is_heard and (self.sensor is None or n_since >= n_sensed)
@@ -127,17 +133,17 @@ class Output:
         check: DeliveryCheck | None = None,
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
-        self._check, self._name = check, ""
-        self._is_file = rig.device.name == FileSink.name
+        self._check, self._name, self.identity = check, "", dict[str, Any]()
+        self._make_sink = SINKS.get(rig.device.name, DeviceStream)
+        self._is_file = self._make_sink is FileSink
         self._preroll_s = 0.0 if self._is_file else PREROLL_S + 2 * rig.device.latency_s
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=self._preroll_s)
         self._trigger = Trigger(rig.trigger, clock) if rig.trigger is not None else None
         self._room: Frames | None = None
         if rig.sensor is not None and not self._is_file:
             longest = max((len(sound) for sound in sounds.values()), default=0)
-            n_room, n_axes = longest + round(BEYOND_S * rate_hz), len(rig.sensor.inputs)
-            self._room = np.zeros((n_room, n_axes), dtype=np.float32)
-        self._make_sink = SINKS.get(rig.device.name, DeviceStream)
+            n_room = longest + round(BEYOND_S * rate_hz)
+            self._room = np.zeros((n_room, len(rig.sensor.channels)), dtype=np.float32)
         self._sink: Sink | None = None
         self._n_frames = self._n_dry = 0
         self._n_dry_before = -1  # a stream that was opened anew has not the certificate's latency
@@ -147,7 +153,6 @@ class Output:
         self._requested_s = self._clock_ahead_s = self.lead_s = 0.0
         self._stopped_s: float | None = None
         self.captured: Frames | None = None
-        self.identity: Mapping[str, Any] = {}
 
     def open(self) -> None:
         """Open the sink, and wait until it runs steadily."""
@@ -189,6 +194,7 @@ class Output:
             return
         if isinstance(sink, FileSink):
             sink.begin()
+        scale = stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0
         self._take = take = Take(  # before the mixer knows, so that no block is missed
             rate_hz=self._rate_hz,
             latency_s=sink.there_and_back_s,
@@ -196,12 +202,7 @@ class Output:
             sensor=self._room,
         )
         self._mixer.start(
-            self._name,
-            gap_s=gap_s,
-            scale=stimulus.scale if isinstance(stimulus, Tone | Scaled) else 1.0,
-            goes_on=goes_on,
-            lead_s=self.lead_s,
-            cue=take,
+            self._name, gap_s=gap_s, scale=scale, goes_on=goes_on, lead_s=self.lead_s, cue=take
         )
         ahead_s = sink.compare_clocks()
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
@@ -244,18 +245,23 @@ class Output:
         if take is None:
             error = self._error or "nothing was started"
             return Playback(self._requested_s, None, completed=False, error=error)
-        self.captured = self._capture(take)
-        measured, sha256 = self._describe_take(take), ""
+        self.captured, sha256 = self._capture(take), ""
+        underruns, is_completed = take.find_underruns(), take.is_complete and take.is_out
+        measured = self._measure(take, underruns)
         if self.captured is not None and self._folder is not None:
             try:
                 number, sha256 = _write_numbered(self._folder, self.captured, self._rate_hz)
                 measured["file_number"] = float(number)
             except OSError as problem:
                 self._error = self._error or str(problem)
-        is_completed = take.is_complete and take.is_out
-        underruns = take.find_underruns()
+        fault, notice, delivered = "", "", dict[str, float]()
         is_whole = is_completed and not underruns and not take.n_sensor_gaps
-        fault, notice, delivered = self._compare(take) if is_whole else ("", "", {})
+        if self._check is not None and is_whole:
+            sensed = None if self._room is None else self.captured
+            is_steady, self._n_dry_before = self._n_dry == self._n_dry_before, self._n_dry
+            fault, notice = self._check.diagnose(take.sound, sensed, keeps_latency=is_steady)
+            # At another level than the set's nothing is promised.
+            delivered = self._check.describe(self._name, sensed) if take.scale == 1 else {}
         if self._trigger is not None:
             self._trigger.leave()
             notice = notice or self._trigger.error  # the hand got what was asked
@@ -276,18 +282,6 @@ class Output:
             notice=notice,
         )
 
-    def _compare(self, take: Take) -> tuple[str, str, Mapping[str, float]]:
-        """Compare a whole playback with what was asked: what is wrong with the rig, and what the hand got."""
-        if self._check is None:
-            return "", "", {}
-        sensed = None if self._room is None else self.captured
-        keeps_latency = self._n_dry == self._n_dry_before
-        self._n_dry_before = self._n_dry
-        wrong = self._check.diagnose(take.sound, sensed, keeps_latency=keeps_latency)
-        if take.scale != 1:  # the level is the set's
-            return *wrong, {}
-        return *wrong, self._check.describe(self._name, take.sound, sensed)
-
     def _capture(self, take: Take) -> Frames | None:
         """Take what was recorded: by a file from the start on, by a sensor from the frame in which the onset was sent.
 
@@ -300,11 +294,10 @@ class Output:
         scale = np.float32(self._rig.sensor.full_scale_m_s2)
         return np.asarray(take.sensor[: take.n_sensed].T * scale)
 
-    def _describe_take(self, take: Take) -> dict[str, float]:
+    def _measure(self, take: Take, underruns: list[int]) -> dict[str, float]:
         own: dict[str, float | None] = {"n_samples": take.n_played}
         own["first_sample"] = take.first_frame or None
         if not self._is_file:
-            underruns, was_cut = take.find_underruns(), 0 < take.n_played < len(take.sound)
             own |= {
                 "callback_ms_max": take.longest_s * 1e3,
                 "latency_s": take.held_s,
@@ -313,6 +306,7 @@ class Output:
                 "dac_time_s": take.onset_s,
                 "sensor_gaps": None if self.captured is None else take.n_sensor_gaps,
             }
+            was_cut = 0 < take.n_played < len(take.sound)
             if self._stopped_s is not None and take.end_s is not None and was_cut:
                 own["stop_s"] = take.end_s + self._clock_ahead_s - self._stopped_s
         return {name: float(value) for name, value in own.items() if value is not None}
@@ -359,8 +353,7 @@ def _write_numbered(folder: Path, samples: Frames, rate_hz: float) -> tuple[int,
     """Write samples to a WAV file with the next free number; returns that and the file's digest."""
     make_folder(folder, private=True)
     numbers = [int(path.stem) for path in folder.glob("*.wav") if path.stem.isdecimal()]
-    number = max(numbers, default=0) + 1
-    content = encode_wav(samples, rate_hz)
+    number, content = max(numbers, default=0) + 1, encode_wav(samples, rate_hz)
     write_bytes(folder / name_delivered(number), content, private=True)
     return number, hashlib.sha256(content).hexdigest()
 
@@ -392,11 +385,11 @@ class Bench:
     output: Output
     sounds: dict[str, Frames]
     total_s: float = 0.0
-    on_step: OnStep | None = None
+    on_step: OnStep = lambda _done, _total: None
     done_s: float = 0.0
 
     def play(self, samples: Mapping[int, Samples], *, n: int) -> Samples:
-        """Play samples by channel, shape (n,), and return what the sensor measured, shape (axes, n) in m/s²."""
+        """Play samples by channel, shape (n,), and return what the sensor measured, shape (3, n) in m/s²."""
         sound = np.zeros((n, self.rig.n_channels), dtype=np.float32)
         for channel, own in samples.items():
             sound[:, channel - 1] = own
@@ -415,23 +408,20 @@ class Bench:
                 f"device {self.rig.device.name!r} ran dry {N_TRIES} times in a row; close other programs, or "
                 f"{advise_latency(self.rig)}"
             )
-        self._check(recorded[:, :n], clipped=played.clipped)
-        self.done_s += n / self.rate_hz
-        if self.on_step is not None:
-            self.on_step(round(self.done_s), round(self.total_s))
-        return recorded[:, :n].astype(np.float64)
-
-    def _check(self, recorded: Frames, *, clipped: int) -> None:
-        if clipped:
+        if played.clipped:
             raise ValueError(
-                f"the rig's limits cut {clipped} samples; lower level under [calibration], or sweep_s below duration_s"
+                f"the rig's limits cut {played.clipped} samples; lower level under [calibration], or sweep_s below "
+                "duration_s"
             )
         full_scale = require_sensor(self.rig).full_scale_m_s2
-        if np.abs(recorded).max() >= CLIPPED * full_scale:
+        if np.abs(recorded[:, :n]).max() >= CLIPPED * full_scale:
             raise ValueError(
                 f"the sensor's input is clipped (full scale is {full_scale:g} m/s²); lower its gain and raise "
                 "full_scale_m_s2 under [sensor] with it, or lower level under [calibration]"
             )
+        self.done_s += n / self.rate_hz
+        self.on_step(round(self.done_s), round(self.total_s))
+        return recorded[:, :n].astype(np.float64)
 
     def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
         """Play sweeps, shape (n,), until their recordings are in step."""

@@ -127,10 +127,15 @@ def make_sweep(sweep: Sweep) -> Samples:
     time_s = np.arange(sweep.period) / sweep.rate_hz
     length_s = constant_s * math.log(last / first)
     phase = 2 * math.pi * first * constant_s * np.exp(np.minimum(time_s, length_s) / constant_s)
-    rise = np.clip(time_s / (constant_s * math.log(BELOW)), 0, 1)
-    fall = np.clip((length_s - time_s) / (constant_s * math.log(ABOVE)), 0, 1)
-    ramps = np.sin(math.pi / 2 * rise) ** 2 * np.sin(math.pi / 2 * fall) ** 2
-    return np.tile(sweep.peak * ramps * np.sin(phase), sweep.n_repeats)
+    rise = time_s / (constant_s * math.log(BELOW))
+    fall = (length_s - time_s) / (constant_s * math.log(ABOVE))
+    return np.tile(sweep.peak * make_ramps(rise, fall) * np.sin(phase), sweep.n_repeats)
+
+
+def make_ramps(rise: Samples, fall: Samples) -> Samples:
+    """Make the gain of a sweep where it is so far into its first ramp, and before the end of its last."""
+    rising, falling = (np.sin(math.pi / 2 * np.clip(one, 0, 1)) ** 2 for one in (rise, fall))
+    return np.asarray(rising * falling)
 
 
 def measure_sweep(sweep: Sweep, recorded: Samples, *, sent: Samples | None = None) -> Response:

@@ -78,23 +78,11 @@ class MaskingTable(fields.TomlTable):
 
 
 class SensorTable(fields.TomlTable):
-    """`[sensor]`: the inputs that measure the vibration; `device`: where it is another one than the one that plays."""
+    """`[sensor]`: the inputs (x, y, z) that measure the vibration; `device`: where another one plays."""
 
-    channel: Channel | None = None
-    channels: tuple[Channel, Channel, Channel] | None = None
+    channels: tuple[Channel, Channel, Channel]
     device: fields.Words | None = None
     full_scale_m_s2: Acceleration
-
-    @model_validator(mode="after")
-    def _has_channels(self) -> Self:
-        if (self.channel is None) == (self.channels is None):
-            raise ValueError("must have either channel or channels (x, y, z); name one of them")
-        return self
-
-    @property
-    def inputs(self) -> tuple[int, ...]:
-        """The channels, from 1."""
-        return self.channels or (self.channel or 1,)
 
 
 class CoilTable(fields.TomlTable):
@@ -120,7 +108,6 @@ class SimulationTable(fields.TomlTable):
     speed: Annotated[fields.Positive, Field(le=1000)] = 1.0
     latency: fields.Count = 960
     noise_m_s2: fields.NotNegative = 0.01
-    sensor_direction: Direction = (1.0, 1.0, 1.0)  # of a sensor with one axis
     coils: tuple[CoilTable, ...] = ()
     seed: fields.Seed = 1
 

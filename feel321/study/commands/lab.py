@@ -339,17 +339,18 @@ def calibrate(
     certificate = write_certificate(made, folder.path)
     if not manual:  # of which there is nothing to see
         draw_certificate(certificate, folder.calibration / certificate.id)
-    facts = asdict(certificate) | {"passed": certificate.passed}
+    passed = not certificate.failures
+    facts = asdict(certificate) | {"passed": passed}
     for coil in facts["coils"].values():
         for name in ARRAYS & coil.keys():
             del coil[name]
-    verdict = "passed" if certificate.passed else "did not pass"
+    verdict = "passed" if passed else "did not pass"
     until = f"valid until {certificate.expires_utc[:10]}"
     lines = [f"certificate {certificate.id} ({certificate.method}): {verdict}; {until}"]
     shared.print_facts(facts, [*lines, *shared.lay_facts(facts["coils"])], as_json=as_json)
     for failure in certificate.failures:
         shared.warn(failure)
-    return 0 if certificate.passed else 1
+    return 0 if passed else 1
 
 
 def _find_rig(study: StudyFolder, device: str | None) -> tuple["Rig | None", float]:

@@ -111,6 +111,17 @@ def certify(loop: Loop, rig: Rig | None = None, *, max_gain_db: float = 45.0) ->
     return begin_certificate(rig, coils, method="measured", made=MADE, rate_hz=RATE_HZ)
 
 
+def predict(certificate: Certificate, frames: np.ndarray) -> np.ndarray:
+    """The motion at the hand, (3, n) in m/s², of frames sent, (n, channels), by a certificate."""
+    moved = np.zeros((3, len(frames)))
+    first = min(coil.latency for coil in certificate.coils.values())
+    for coil in certificate.coils.values():
+        late = coil.latency - first
+        own = coil.respond(frames[:, coil.channel - 1], rate_hz=certificate.rate_hz)
+        moved[:, late:] += np.outer(coil.direction, own[: len(frames) - late])
+    return moved
+
+
 def make_track(seed: int, *, peak: float, seconds: float = 0.8) -> np.ndarray:
     """Noise from 30 to 500 Hz, in m/s²."""
     n = round(seconds * RATE_HZ)

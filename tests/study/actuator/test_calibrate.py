@@ -25,9 +25,9 @@ from feel321.study.actuator.certificate import (
     list_certificates,
     write_certificate,
 )
+from feel321.study.actuator.device import BLOCK_FRAMES, Hardware, SimulatedCoil, SimulatedStream
 from feel321.study.actuator.response import Sweep, find_slip, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable, Rig, advise_latency, read_rig
-from feel321.study.actuator.simulated import BLOCK_FRAMES, Hardware, SimulatedCoil, SimulatedStream
 from feel321.study.cli import main
 
 RATE_HZ = 8000.0

@@ -20,6 +20,7 @@ from feel321.study.actuator.certificate import (
     read_certificate,
     write_certificate,
 )
+from feel321.study.actuator.device import discretise
 from feel321.study.actuator.rig import (
     CalibrationTable,
     CoilTable,
@@ -28,7 +29,7 @@ from feel321.study.actuator.rig import (
     digest,
     take_device,
 )
-from feel321.study.actuator.simulated import discretise
+from tests.study.actuator.outside import predict
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -100,7 +101,7 @@ GOOD: dict[str, Any] = {"left": {"name": "left coil", "channel": 1}}
 FORGED = [
     ({"coils": 5}, "coils"), ({"coils": ["x"]}, "coils"), ({"coils": {"a": 1}}, "coils.a"), ({"coils": {}}, "coils"),
     ({"coils": GOOD}, "coils.left.full_scale_m_s2"), ({"sensor": 5}, "sensor"), ({"band_hz": 5}, "band_hz"),
-    ({"sensor": {"channel": 1}}, "sensor.full_scale_m_s2"), ({"expires_utc": "soon"}, "expires_utc"),
+    ({"sensor": {"channels": [1, 2, 3]}}, "sensor.full_scale_m_s2"), ({"expires_utc": "soon"}, "expires_utc"),
     ({"expires_utc": "2026-01-01"}, "expires_utc"), ({"expires_utc": 5}, "expires_utc"), ({"rate_hz": 0}, "rate_hz"),
     ({"own": 1}, "own"), ({"format": "9"}, "format"),
     *(({"target": gain}, "coils.left coil.target") for gain in (0, -1, "x", None, [1])),
@@ -169,7 +170,7 @@ def test_a_prediction_is_the_sum_of_the_coils_exact_filters() -> None:
     certificate = replace(certificate, coils={"left coil": left, "right coil": late})
     frames = np.zeros((4000, 2))
     frames[:2000] = 0.1 * np.random.default_rng(1).standard_normal((2000, 2))
-    found = certificate.predict(frames)
+    found = predict(certificate, frames)
     moved = 10 * signal.lfilter(*discretise(COIL, rate_hz=RATE_HZ), frames[:, 1])
     expected = np.outer([0, 0.6, 0.8], np.concatenate([np.zeros(5), moved[:-5]]))
     expected[0] += 12.5 * frames[:, 0]
@@ -187,6 +188,6 @@ def test_coils_of_unlike_latency_move_together() -> None:
     frames = np.zeros((60, 2))
     for column, samples in enumerate(sent.values()):
         frames[: len(samples), column] = samples
-    moved = certificate.predict(frames)
+    moved = predict(certificate, frames)
     np.testing.assert_allclose(moved[0], moved[1], atol=1e-9)
     np.testing.assert_allclose(moved[0, 5:55], asked, atol=1e-9)

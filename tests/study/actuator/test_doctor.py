@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 RIG = Rig(
     limits=LimitsTable(peak_m_s2=100, rms_m_s2=50, duration_s=60),
-    sensor=SensorTable(channel=3, full_scale_m_s2=20),
+    sensor=SensorTable(channels=(1, 2, 3), full_scale_m_s2=20),
 )
 RUN = "import sys; from feel321.study.cli import main; sys.exit(main())"
 
@@ -53,7 +53,7 @@ def test_pulses_are_played_quietly_and_measured(
     (tmp_path / "study.toml").write_text(
         '[[recordings]]\nscene = "bumps"\n[[recordings]]\nscene = "hard_taps"\n'
     )
-    sensor = "[sensor]\nchannel = 4\nfull_scale_m_s2 = 100.0"
+    sensor = "[sensor]\nchannels = [4, 4, 4]\nfull_scale_m_s2 = 100.0"
     (tmp_path / "rig.toml").write_text(
         make_rig(sensor, channels=4, device="nowhere", latency_s=0.15)
     )

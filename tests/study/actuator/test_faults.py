@@ -21,6 +21,7 @@ from tests.study.actuator.outside import (
     make_rig,
     make_track,
     play,
+    predict,
     send,
 )
 
@@ -185,7 +186,7 @@ def test_coils_in_one_direction_are_judged_together() -> None:
     joined = replace(own, coils=coils)
     track = make_track(1, peak=6.0)
     sent = send(joined, track, track, track)
-    motion = joined.predict(np.vstack([sent, np.zeros((4800, 3))]))
+    motion = predict(joined, np.vstack([sent, np.zeros((4800, 3))]))
     noise = 0.01 * np.random.default_rng(1).standard_normal(motion.shape)
     found = Diagnosis(joined, rig.model_copy(update={"actuators": alike}))
     found.lag = None

@@ -74,7 +74,7 @@ def test_every_channel_that_the_rig_names_has_to_be_there() -> None:
     check_channels(third, COILS, COILS)
     with pytest.raises(OSError, match=r"'coils' has 2 output channel\(s\), the rig needs 3; take"):
         check_channels(third, PAIR, PAIR)
-    sensing = Rig(limits=LIMITS, sensor=SensorTable(channel=2, full_scale_m_s2=9))
+    sensing = Rig(limits=LIMITS, sensor=SensorTable(channels=(2, 1, 1), full_scale_m_s2=9))
     with pytest.raises(OSError, match=r"has 1 input channel\(s\), the rig needs 2"):
         check_channels(sensing, PAIR, PAIR)
 
@@ -201,7 +201,7 @@ def test_a_port_that_does_not_open_is_one_line() -> None:
 
 RATE_HZ = 1000
 RIG = Rig(device=DeviceTable(name="coils", latency_s=0.1), limits=LIMITS)
-SENSING = RIG.model_copy(update={"sensor": SensorTable(channel=1, full_scale_m_s2=10)})
+SENSING = RIG.model_copy(update={"sensor": SensorTable(channels=(1, 2, 3), full_scale_m_s2=10)})
 
 
 class StandIn:
@@ -227,7 +227,7 @@ class StandIn:
             currentTime=self.time, outputBufferDacTime=self.time + 0.1 if dac_s is None else dac_s
         )
         usual = dict.fromkeys(("output_underflow", "input_overflow", "input_underflow"), False)
-        given = [np.full((N, 1), sensed, dtype=np.float32)] if self.is_duplex else []
+        given = [np.full((N, 3), sensed, dtype=np.float32)] if self.is_duplex else []
         self.callback(*given, out, N, times, SimpleNamespace(**usual | flags))
         self.time += N / RATE_HZ
         return out
@@ -261,7 +261,7 @@ def sounddevice(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> SimpleNamespac
         OutputStream=StandIn,
         Stream=StandIn,
         query_hostapis=lambda: [{"name": "ALSA"}],
-        query_devices=lambda: [row | {"max_input_channels": 1}],
+        query_devices=lambda: [row | {"max_input_channels": 3}],
         _terminate=lambda: None,
         _initialize=lambda: None,
     )

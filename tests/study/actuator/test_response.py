@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scipy import signal, special
 
+from feel321.study.actuator.device import SimulatedCoil, discretise
 from feel321.study.actuator.response import Response, Sweep, make_inverse, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable
-from feel321.study.actuator.simulated import SimulatedCoil, discretise
 
 RATE_HZ = 8000.0
 SWEEP = Sweep(rate_hz=RATE_HZ)

@@ -39,7 +39,7 @@ def _is_toml(line: str) -> bool:
 
 COIL = '[[actuators]]\nname = "coil"\nchannel = 1\n'
 MASKING = "[masking]\nchannels = [3]\n"
-SENSOR = "[sensor]\nchannel = 1\nfull_scale_m_s2 = 50.0\n"
+SENSOR = "[sensor]\nchannels = [1, 2, 3]\nfull_scale_m_s2 = 50.0\n"
 TURNED = COIL + "direction = {}\n"
 
 
@@ -54,7 +54,7 @@ TURNED = COIL + "direction = {}\n"
         (COIL + 'plays = ["q"]\n', "actuators[1].plays[1] must be one of reduced, x, y, z, got 'q'"),
         (COIL + 'plays = ["x", "x"]\n', "must hold each name once, got ['x', 'x']; more than once: x"),
         (COIL + COIL, "actuators must hold each name once; more than once: coil"),
-        (COIL + "weight = -1\n", "actuators[1].weight must be greater than 0, got -1"),
+        (COIL + "weight = -1\n", "actuators[1].weight must be greater than 0 or \"off\", got -1"),
         (TURNED.format([0, 0, 0]), "actuators[1].direction must be a direction of motion, such as [1, 0, 0]"),
         (TURNED.format([0, 1]), "rig.toml: actuators[1].direction"),
         (TURNED.format('"up"'), "rig.toml: actuators[1].direction must be a valid array, got 'up'"),
@@ -66,7 +66,7 @@ TURNED = COIL + "direction = {}\n"
         ("[masking]\nchannels = []\n", "masking.channels: got [], "),
         (MASKING + "ramp_s = 1.0\n", "masking must have lead_s of ramp_s or more"),
         (MASKING + "rms = 0.5\n", "masking.rms must be less than or equal to 0.15, got 0.5"),
-        ("[sensor]\nfull_scale_m_s2 = 1.0\n", "sensor must have either channel or channels (x, y, z); name one"),
+        ("[sensor]\nfull_scale_m_s2 = 1.0\n", "sensor.channels: missing; add it"),
         (SENSOR + "sensitivity_mv_per_g = 100.0\n", "sensor.sensitivity_mv_per_g: unknown setting"),
         ('[calibration]\nphase = "minimum"\n', "calibration.phase: unknown setting"),
         ("[calibration]\nband_hz = [1000, 20]\n", "calibration.band_hz must be two frequencies in Hz that rise"),
@@ -88,7 +88,10 @@ def test_a_bad_table_gets_a_line(text: str, line: str, tmp_path: Path) -> None:
     ("text", "line"),
     [
         (LIMITS.replace("90.0", "-1"), "limits.peak_m_s2 must be greater than 0, got -1"),
-        (LIMITS.replace("10.0", "nan"), "limits.duration_s must be a finite number, got nan"),
+        (
+            LIMITS.replace("10.0", "nan"),
+            "limits.duration_s must be less than or equal to 3600, got nan",
+        ),
         (LIMITS.replace("30", "true"), "limits.rms_m_s2 must be a valid number, got True"),
         ("actuators = []\n" + LIMITS, "rig.toml: actuators must hold at least one name, got []"),
         ("sync = 3\n" + LIMITS, "sync must be a table, got 3"),

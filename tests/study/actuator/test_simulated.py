@@ -9,9 +9,9 @@ import numpy as np
 from scipy import signal
 
 from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.device import BLOCK_FRAMES, discretise
 from feel321.study.actuator.output import open_output
 from feel321.study.actuator.rig import CoilTable, read_rig
-from feel321.study.actuator.simulated import BLOCK_FRAMES, discretise
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -38,7 +38,6 @@ duration_s = 30.0
 speed = 10
 latency = 40
 noise_m_s2 = 0.0
-sensor_direction = [0, 0, 1]
 [[simulation.coils]]
 name = "right coil"
 resonance_hz = 100

@@ -75,11 +75,10 @@ peak_m_s2 = 500.0
 rms_m_s2 = 200.0
 duration_s = 30.0
 [sensor]
-channel = 1
+channels = [1, 2, 3]
 full_scale_m_s2 = 1000.0
 [simulation]
 speed = 20.0
-sensor_direction = [0, 0, 1]
 [[simulation.coils]]
 name = "coil"
 resonance_hz = 0.5
