@@ -374,11 +374,7 @@ class Study(Laboratory):
         return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
 
     def export(
-        self,
-        target: options.Folder,
-        *,
-        simulated: bool = False,
-        for_r: options.ForR = False,
+        self, target: options.Folder, *, simulated: bool = False, for_r: options.ForR = False
     ) -> Outcome:
         """Write a study's data for others, into the folder DIR.
 
