@@ -100,9 +100,11 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize("case", REFUSALS)
-def test_what_may_mean_two_things_is_refused_by_name(tmp_path: Path, case: str) -> None:
+def test_what_is_no_recording_or_may_mean_two_things_is_refused_by_name(
+    tmp_path: Path, case: str
+) -> None:
     arrays, arguments, message = REFUSALS[case]
-    path = _write(tmp_path / "a.npz", {"rate_hz": 100.0, **arrays})
+    path = _write(tmp_path / "a.npz", {**arrays, "rate_hz": arrays.get("rate_hz", 100.0)})
     with pytest.raises(ValueError, match=rf"^a\.npz: .*{message}"):
         read_recording(path, **arguments)
 
