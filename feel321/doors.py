@@ -39,9 +39,8 @@ def as_rng(rng: int | np.random.Generator, what: str = "rng") -> np.random.Gener
     if isinstance(rng, np.random.Generator):
         return rng
     if isinstance(rng, bool) or not isinstance(rng, int | np.integer) or rng < 0:
-        raise TypeError(
-            f"{what} must be a whole number from 0 or a numpy Generator, got {describe(rng)}"
-        )
+        wanted = "a whole number from 0 or a numpy Generator"
+        raise TypeError(f"{what} must be {wanted}, got {describe(rng)}")
     return np.random.default_rng(int(rng))
 
 
@@ -107,9 +106,8 @@ def announce(text: str) -> None:
 def as_names(names: Iterable[str], what: str) -> tuple[str, ...]:
     """Make a tuple of names; a bare str, whose letters would pass for names, is refused."""
     if isinstance(names, str):
-        raise TypeError(
-            f"{what} must be a list of names, got the text {names!r}; write [{names!r}]"
-        )
+        got = f"the text {names!r}; write [{names!r}]"
+        raise TypeError(f"{what} must be a list of names, got {got}")
     return tuple(names)
 
 
@@ -129,11 +127,8 @@ def refuse_name(name: object, names: Collection[str], what: str) -> str:
 
 def clean_text(text: str, *, keep: str = "") -> str:
     """Spell out, as JSON does, what a terminal would obey and a reader not see: control and format characters."""
-    spelt = (
-        c if c.isprintable() or c in keep else json.dumps(c)[1:-1].replace("\x7f", "\\u007f")
-        for c in text
-    )
-    return "".join(spelt)
+    spelt = {c: json.dumps(c)[1:-1].replace("\x7f", "\\u007f") for c in {*text} - {*keep}}
+    return "".join(c if c.isprintable() else spelt.get(c, c) for c in text)
 
 
 def describe(value: object) -> str:
@@ -194,7 +189,7 @@ Entry = TypeVar("Entry")
 
 
 class Registry(dict[str, Entry]):
-    """An ordered mapping of names; an entry is also an attribute, and a wrong name lists the right ones."""
+    """An ordered mapping of names; a wrong name lists the right ones."""
 
     def __init__(
         self,
@@ -210,16 +205,6 @@ class Registry(dict[str, Entry]):
     def __missing__(self, name: str) -> NoReturn:
         """Refuse a name."""
         raise KeyError(refuse_name(name, self, self._what))
-
-    def __getattr__(self, name: str) -> Entry:
-        """Return an entry, so that Tab completes names."""
-        if name.startswith("_") or name not in self:
-            raise AttributeError(name)
-        return self[name]
-
-    def __dir__(self) -> list[str]:
-        """List the names, for Tab."""
-        return [*super().__dir__(), *self]
 
     def __repr__(self) -> str:
         """List the names."""
@@ -238,18 +223,16 @@ class Registry(dict[str, Entry]):
     def choose(self, wanted: str | Entry | Iterable[str | Entry] = "all") -> dict[str, Entry]:
         """Return several entries by name, as wanted: "all", a list of what `find` takes, one entry, or a mapping."""
         if isinstance(wanted, str):
-            if wanted == "all":
-                return dict(self)
-            as_names(wanted, f"{self._what}s")
+            return (
+                dict(self) if wanted == "all" else self.choose(as_names(wanted, f"{self._what}s"))
+            )
         if isinstance(wanted, Mapping):
             return {name: self.find(one) for name, one in wanted.items()}
         several = [*wanted] if isinstance(wanted, Iterable) else [wanted]
         chosen = {name_of(one): self.find(one) for one in several}
         if len(chosen) < len(several):
-            names = ", ".join(map(name_of, several))
-            raise ValueError(
-                f"{self._what}s must have names that differ, got {names}; name them: {{'mine': f}}"
-            )
+            got = f"got {', '.join(map(name_of, several))}; name them: {{'mine': f}}"
+            raise ValueError(f"{self._what}s must have names that differ, {got}")
         return chosen
 
 

@@ -35,12 +35,9 @@ from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from re import fullmatch
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from feel321.doors import describe, refuse_name
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 GROUPS: Mapping[str, str] = {
     "reducer": "feel321.reducers",
@@ -61,19 +58,16 @@ Origin = Literal["file", "module", "function", "command"]
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A lab's own method: picklable, and equal to another that has the same name and the same code.
-
-    place: as it was given; facts: what its table declares; folder: of the study; function: as it was given in Python.
-    """
+    """A lab's own method: picklable, and equal to another that has the same name and the same code."""
 
     kind: str
     name: str
-    place: str
+    place: str  # as it was given
     sha256: str
     origin: Origin
-    facts: tuple[tuple[str, Any], ...] = ()
-    folder: Path | None = field(default=None, compare=False, repr=False)
-    function: Any = field(default=None, compare=False, repr=False)
+    facts: tuple[tuple[str, Any], ...] = ()  # what its table declares
+    folder: Path | None = field(default=None, compare=False, repr=False)  # of the study
+    function: Any = field(default=None, compare=False, repr=False)  # as it was given in Python
 
     def __str__(self) -> str:
         """Name it as messages do."""
@@ -117,8 +111,7 @@ def find_method(
     taken: names of the kind that are feel321's own; folder: of the study, the current one if left out; declared: the
     tables of the study, by name.
     """
-    folder = Path(folder or Path.cwd()).resolve()
-    tables = declared or {}
+    folder, tables = Path(folder or Path.cwd()).resolve(), declared or {}
     if isinstance(given, Method):
         found = given
     elif not isinstance(given, str):
@@ -145,24 +138,23 @@ def is_given(kind: str, name: str, declared: Collection[str] = ()) -> bool:
     return ":" in name or name in declared or name in list_entry_points(kind)
 
 
-@cache
-def _read_entry_points(group: str, path: tuple[str, ...]) -> list[EntryPoint]:  # noqa: ARG001 - where packages are
-    """Read the entry points of a group; to look through all packages takes longer than to read a short recording."""
+def list_entry_points(kind: str) -> Mapping[str, str]:
+    """List the methods of installed packages: name -> dotted name."""
+    return _read_entry_points(kind, tuple(sys.path))
+
+
+@cache  # to look through all packages takes longer than to read a short recording
+def _read_entry_points(kind: str, path: tuple[str, ...]) -> Mapping[str, str]:  # noqa: ARG001 - where packages are
     from importlib.metadata import entry_points
 
-    return sorted(entry_points(group=group), key=lambda one: (one.name, one.value))
-
-
-def list_entry_points(kind: str) -> dict[str, str]:
-    """List the methods of installed packages: name -> dotted name."""
     found: dict[str, str] = {}
-    for point in _read_entry_points(GROUPS[kind], tuple(sys.path)):
+    for point in sorted(entry_points(group=GROUPS[kind]), key=lambda one: (one.name, one.value)):
         if found.setdefault(point.name, point.value) != point.value:
             raise ValueError(
                 f"{kind} {point.name!r} is declared by two installed packages, as {found[point.name]} and "
                 f"{point.value}; uninstall one, or name it by its place"
             )
-    return found
+    return types.MappingProxyType(found)
 
 
 def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Path) -> Method:
@@ -319,12 +311,14 @@ def _on_path(*folders: Path | None) -> Iterator[None]:
 @lru_cache(maxsize=256)
 def _load(method: Method, folder: Path | None) -> Any:  # noqa: ANN401 - whatever the lab wrote
     where, _, name = method.place.rpartition(":")
-    is_file, home = method.origin == "file", folder or Path()
-    load = _load_file if is_file else _load_module
-    module = call(method, load, where, folder, doing="cannot be loaded")
-    digest = (
-        _digest_file(home / where) if is_file else _digest_module(method.kind, method.place, folder)
-    )
+    path = (folder or Path()) / where
+    if method.origin == "file":
+        module = call(method, _run_file, path, folder, doing="cannot be loaded")
+        digest = _digest_file(path)
+    else:
+        with _on_path(folder):
+            module = call(method, importlib.import_module, where, doing="cannot be loaded")
+        digest = _digest_module(method.kind, method.place, folder)
     if digest != method.sha256:
         said = "was changed in the meantime, or is other code on this machine"
         raise ValueError(f"{method}: {where} {said}; run the command again")
@@ -336,14 +330,8 @@ def _load(method: Method, folder: Path | None) -> Any:  # noqa: ANN401 - whateve
     return call(method, made, doing="cannot be made") if inspect.isclass(made) else made
 
 
-def _load_module(where: str, folder: Path | None) -> types.ModuleType:
-    with _on_path(folder):
-        return importlib.import_module(where)
-
-
-def _load_file(where: str, folder: Path | None) -> types.ModuleType:
+def _run_file(path: Path, folder: Path | None) -> types.ModuleType:
     """Run a file of a study as a module of its own; what it imports from its folder is not kept for other studies."""
-    path = (folder or Path()) / where
     unique = hashlib.sha256(str(path).encode()).hexdigest()[:8]
     module = types.ModuleType(f"feel321_study_{unique}_{path.stem}")
     module.__file__ = str(path)
@@ -383,13 +371,13 @@ def call(method: Method, function: Callable[..., Any], *args: Any, doing: str = 
             raise ValueError(f"{method}: {_word(error, method)}{said}") from error
         finally:
             for one in noticed or ():
-                _say_once(f"{method}: {one.category.__name__}: {_shorten(one.message)}")
+                _say_once(f"{method}: {one.category.__name__}: {one.message}")
 
 
 @lru_cache(maxsize=1024)
 def _say_once(text: str) -> None:
     if sys.stderr is not None:
-        sys.stderr.write(f"feel321: warning: {text}\n")
+        sys.stderr.write(f"feel321: warning: {_shorten(text)}\n")
 
 
 def _shorten(message: object) -> str:
@@ -399,20 +387,18 @@ def _shorten(message: object) -> str:
 
 def _word(error: BaseException, method: Method) -> str:
     """Word a lab's error: its class, its message, and the line of the lab's code."""
-    kind, reason = type(error).__name__, ""
+    reason = ""
     with contextlib.suppress(Exception):  # the text of an error may be an error too
         reason = _shorten(error.msg if isinstance(error, SyntaxError) else error)
     if isinstance(error, SystemExit):
         reason = f"it called sys.exit({reason}), a method must return"
-    file, line = "", 0
-    if isinstance(error, SyntaxError):
-        kind, file, line = "SyntaxError", error.filename or "", error.lineno or 0
-    else:
-        roots = _find_roots(method)
-        for frame in traceback.extract_tb(error.__traceback__):
-            if any(Path(frame.filename).is_relative_to(root) for root in roots):
-                file, line = frame.filename, frame.lineno or 0
+    roots = _find_roots(method)
+    frames = [(one.filename, one.lineno) for one in traceback.extract_tb(error.__traceback__)]
+    own = [at for at in frames if any(Path(at[0]).is_relative_to(root) for root in roots)]
+    own += [(error.filename or "", error.lineno)] if isinstance(error, SyntaxError) else []
+    file, line = own[-1] if own else ("", 0)
     place = f" ({'/'.join(Path(file).parts[-2:])}, line {line})" if file else ""
+    kind = "SyntaxError" if isinstance(error, SyntaxError) else type(error).__name__
     return f"{kind}{': ' if reason else ''}{reason}{place}"
 
 

@@ -90,35 +90,26 @@ def create_file(path: Path, *, private: bool = False) -> None:
     os.close(os.open(path, flags, find_mode(path, private=private)))
 
 
-def _write(path: Path, chunks: Iterable[bytes], *, private: bool = False) -> int:
+def _write(path: Path, chunks: Iterable[bytes], *, private: bool) -> int:
     """Write a file beside its target, on the same file system, which takes its name as a whole; counts the chunks."""
 
-    def make() -> Path:
+    def begin() -> Path:
         part = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}.part")
         create_file(part, private=private)
         return part
 
-    with _naming(path):
-        part, hold = _claim(make)
-        try:
-            return _replace(path, part, chunks, private=private)
-        finally:
-            part.unlink(missing_ok=True)
-            _let_go(hold)
-
-
-def _replace(path: Path, part: Path, chunks: Iterable[bytes], *, private: bool) -> int:
     count = 0
-    with part.open("wb") as file:
-        for count, chunk in enumerate(chunks, start=1):  # noqa: B007 - the last one counts
-            file.write(chunk)
-        file.flush()
-        is_open = private and os.name != "nt" and path.is_file() and path.stat().st_mode & 0o027
-        if path.is_file() and not is_open and cmp(part, path, shallow=False):
-            return count
-        os.fsync(file.fileno())
-    part.replace(path)
-    sync_folder(path.parent)
+    with _naming(path), _claim(begin) as part:
+        with part.open("wb") as file:
+            for count, chunk in enumerate(chunks, start=1):  # noqa: B007 - the last one counts
+                file.write(chunk)
+            file.flush()
+            is_open = private and os.name != "nt" and path.is_file() and path.stat().st_mode & 0o027
+            if path.is_file() and not is_open and cmp(part, path, shallow=False):
+                return count
+            os.fsync(file.fileno())
+        part.replace(path)
+        sync_folder(path.parent)
     return count
 
 
@@ -180,12 +171,8 @@ def temporary_folder(beside: Path | None = None) -> Iterator[Path]:
     """Give a folder of its owner alone, which ends with the block: in the system's place, or beside a path."""
     place = None if beside is None else beside.parent
     prefix = f"feel321-{os.getpid()}-"
-    folder, hold = _claim(lambda: Path(tempfile.mkdtemp(prefix=prefix, dir=place)))
-    try:
+    with _claim(lambda: Path(tempfile.mkdtemp(prefix=prefix, dir=place))) as folder:
         yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-        _let_go(hold)
 
 
 def sweep(folder: Path) -> list[Path]:
@@ -205,14 +192,21 @@ def sweep_temporary() -> list[Path]:
     return sorted(one for one in found if TEMPORARY.fullmatch(one.name) and _end(one))
 
 
-def _claim(make: Callable[[], Path]) -> tuple[Path, int]:
-    """Make a file or folder and hold it; anew where it was swept in between."""
-    while True:
-        path = make()
-        hold = _hold(path, wait=True)
-        if path.exists():
-            return path, hold
-        _let_go(hold)  # pragma: no cover
+@contextmanager
+def _claim(make: Callable[[], Path]) -> Iterator[Path]:
+    """Make a file or folder, hold it, and remove what is left of it; made anew where it was swept in between."""
+    hold = _hold(path := make(), wait=True)
+    while not path.exists():  # pragma: no cover
+        _let_go(hold)
+        hold = _hold(path := make(), wait=True)
+    try:
+        yield path
+    finally:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
+        _let_go(hold)
 
 
 def _hold(path: Path, *, wait: bool = False) -> int:

@@ -14,20 +14,13 @@ from typing import BinaryIO, TextIO
 
 LIMIT = "FEEL321_LARGEST_MB"
 LARGEST_MB = 512  # of a file, and of its samples as float64: half an hour of three axes at 10 kHz
-TEXT_SHARE = (
-    4  # a text must be so many times smaller: it takes several times its size while it is read
-)
+TEXT_SHARE = 4  # a text must be so many times smaller: while read, it takes several times its size
 SMALL_BYTES = 2**22  # of settings, texts and facts beside recordings
 MOST_DIGITS = 4000  # of a number in those: parsers take memory for digits
 LONGEST_LINE = 2**20  # bytes in a line of a table: thousands of columns
 
 WIDE_TEXT = {codecs.BOM_UTF32_LE: "UTF-32", codecs.BOM_UTF16_LE: "UTF-16", codecs.BOM_UTF16_BE: "UTF-16"}  # fmt: skip
-KINDS = {
-    stat.S_IFIFO: "a named pipe (fifo)",
-    stat.S_IFSOCK: "a socket",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-}
+KINDS = {stat.S_IFIFO: "a named pipe (fifo)", stat.S_IFSOCK: "a socket"}  # all else is a device
 
 
 class TooLargeError(ValueError):
@@ -74,7 +67,7 @@ def open_regular(path: Path) -> BinaryIO:
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
     if not stat.S_ISREG(mode):
-        got = KINDS.get(stat.S_IFMT(mode), "something else")
+        got = KINDS.get(stat.S_IFMT(mode), "a device")
         raise ValueError(
             f"{path.name}: must be a regular file, got {got}; copy its content into a file"
         )
@@ -123,17 +116,17 @@ def decode(content: bytes, name: str) -> str:
     for mark, kind in WIDE_TEXT.items():
         if content.startswith(mark):
             raise ValueError(f"{name}: the text is in {kind}; save the file as UTF-8")
+    text, at = "", content.find(b"\0")
+    what, remedy = "a zero byte (byte {} of the file), as no text does", "is it damaged?"
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         at = len(content) - len(error.object) + error.start  # the mark is left out
-        what = f"the byte 0x{content[at]:02x}, which is not UTF-8 (perhaps Latin-1; byte {at + 1} of the file)"
+        what = f"the byte 0x{content[at]:02x}, which is not UTF-8 (perhaps Latin-1; byte {{}} of the file)"
+        remedy = "save the file as UTF-8"
+    if at >= 0:
         line = content.count(b"\n", 0, at) + 1
-        raise ValueError(f"{name}: line {line} holds {what}; save the file as UTF-8") from None
-    if (at := content.find(b"\0")) >= 0:
-        line = content.count(b"\n", 0, at) + 1
-        what = f"a zero byte (byte {at + 1} of the file), as no text does"
-        raise ValueError(f"{name}: line {line} holds {what}; is it damaged?")
+        raise ValueError(f"{name}: line {line} holds {what.format(at + 1)}; {remedy}")
     return text
 
 

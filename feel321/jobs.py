@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextvars import Context, copy_context
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import islice, starmap
 from pathlib import Path
 from re import fullmatch
+from types import MappingProxyType
 from typing import Any
 
 __all__ = ["Workers"]
@@ -96,7 +97,12 @@ def gather_results(
     return [found[place] for place in sorted(found)]
 
 
-def _do(place: int, job: Job) -> Numbered:
+def _do(place: int, job: Job, versions: Mapping[str, str] = MappingProxyType({})) -> Numbered:
+    """Do a job, unless versions are asked for that are not those of this machine."""
+    own = _find_versions() if versions else {}
+    if other := [f"{k} {own[k]} instead of {v}" for k, v in versions.items() if own[k] != v]:
+        message = f"a worker has {', '.join(other)}; install the same versions there, or stop it"
+        raise ValueError(message)
     function, arguments, named = job
     return place, function(*arguments, **named)
 
@@ -106,15 +112,6 @@ def _find_versions() -> dict[str, str]:
     modules = ("feel321", "numpy", "scipy", "soxr")
     found = {name: str(__import__(name).__version__) for name in modules}
     return {**found, "Python": f"{sys.version_info.major}.{sys.version_info.minor}"}
-
-
-def _do_there(place: int, job: Job, versions: dict[str, str]) -> Numbered:
-    """Do a job on a worker, unless its versions are others."""
-    own = _find_versions()
-    if other := [f"{k} {own[k]} instead of {v}" for k, v in versions.items() if own[k] != v]:
-        message = f"a worker has {', '.join(other)}; install the same versions there, or stop it"
-        raise ValueError(message)
-    return _do(place, job)
 
 
 def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
@@ -137,7 +134,7 @@ def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
         for place, (function, arguments, named) in enumerate(jobs):
             # A worker is in a folder of its own.
             own = tuple(one.absolute() if isinstance(one, Path) else one for one in arguments)
-            yield client.submit(_do_there, place, (function, own, named), versions, pure=False)
+            yield client.submit(_do, place, (function, own, named), versions, pure=False)
 
     left = submit()
     running: Any = as_completed(loop=client.loop, with_results=True)  # type: ignore[no-untyped-call]  # distributed's types

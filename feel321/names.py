@@ -8,11 +8,9 @@ from typing import Annotated, Literal, NamedTuple
 from annotated_types import Interval
 
 from feel321.doors import Registry, check_name
-from feel321.types import MetricInfo
+from feel321.types import Direction, MetricInfo
 
-MOST_DB = (
-    60.0  # levels further apart count as this far apart: people feel vibrations over some 55 dB
-)
+MOST_DB = 60.0  # levels further apart count as this far apart: people feel some 55 dB
 
 REDUCER_NAMES = (
     "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
@@ -22,6 +20,7 @@ REDUCER_NAMES = (
 )  # fmt: skip
 """In the order of the paper, simplest first; later ones follow. The only list of names."""
 
+_WORSE_DB: tuple[Direction, float, float, str] = ("worse", 0.0, MOST_DB, "dB")
 METRIC_INFO: Mapping[str, MetricInfo] = Registry(
     "metric",
     {
@@ -29,11 +28,9 @@ METRIC_INFO: Mapping[str, MetricInfo] = Registry(
         "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
         "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
         "temporal_match_windowed": MetricInfo("temporal match in windows", low=0.0, high=1.0),
-        "level_difference": MetricInfo("level difference", "worse", 0.0, MOST_DB, "dB"),
-        "log_spectral_distance": MetricInfo("log-spectral distance", "worse", 0.0, MOST_DB, "dB"),
-        "pacinian_power_difference": MetricInfo(
-            "Pacinian power difference", "worse", 0.0, MOST_DB, "dB"
-        ),
+        "level_difference": MetricInfo("level difference", *_WORSE_DB),
+        "log_spectral_distance": MetricInfo("log-spectral distance", *_WORSE_DB),
+        "pacinian_power_difference": MetricInfo("Pacinian power difference", *_WORSE_DB),
         "envelope_correlation": MetricInfo("envelope correlation", "better", -1.0, 1.0),
         "modulation_distance": MetricInfo("modulation spectrum distance", "worse", 0.0),
         "st_sim": MetricInfo("ST-SIM", "better", 0.0, 1.0),
@@ -45,10 +42,7 @@ METRIC_INFO: Mapping[str, MetricInfo] = Registry(
 MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
 """The match metrics: what is compared with delivered signals and over orientations, too."""
 
-WRITTEN = (
-    *MATCHES,
-    "temporal_match_windowed",
-)  # the metrics that `build` writes into every manifest
+WRITTEN = (*MATCHES, "temporal_match_windowed")  # the metrics that `build` writes
 ANCHOR = "anchor"  # the role of anchors in the manifest
 ANCHOR_NAMES = ("anchor_low", "anchor_mid")
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 if TYPE_CHECKING:
@@ -22,6 +23,10 @@ class Result:
 
     __slots__ = ()
 
+    @property
+    def _kind(self) -> str:
+        return type(self).__name__
+
     def _list_fields(self) -> list[tuple[str, Any]]:
         fields = dataclasses.fields(self)  # type: ignore[arg-type]  # every result but a statistic is a dataclass
         return [(field.name, getattr(self, field.name)) for field in fields]
@@ -32,13 +37,9 @@ class Result:
         kinds = bool | int | float | str | np.generic
         return [(name, entry) for name, entry in self._list_fields() if isinstance(entry, kinds)]
 
-    def _name(self) -> str:
-        return type(self).__name__
-
     def to_dict(self) -> dict[str, Any]:
         """Return the fields as what JSON can hold."""
-        fields: dict[str, Any] = to_json_value(self)
-        return fields
+        return dict(to_json_value(self))
 
     def to_frame(self) -> DataFrame:
         """Return the numbers and names as a table."""
@@ -53,7 +54,7 @@ class Result:
             table = frame.T.to_string(header=False, float_format=digits)
         else:
             table = frame.to_string(index=False, float_format=digits, max_rows=MOST_ROWS)
-        return "\n".join((self._name(), table, *notes))
+        return "\n".join((self._kind, table, *notes))
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""
@@ -66,7 +67,7 @@ class Result:
         sized = [(name, one) for name, one in self._list_fields() if hasattr(one, "__len__")]
         known = known or [(name, f"<{len(one)}>") for name, one in sized if len(one)]
         told = ", ".join(f"{name}={value}" for name, value in known)
-        text = f"{self._name()}({told})"
+        text = f"{self._kind}({told})"
         return text if len(text) <= REPR_WIDTH else f"{text[: REPR_WIDTH - 4]}...)"
 
     def _repr_html_(self) -> str:
@@ -78,7 +79,7 @@ class Result:
         shown = frame.to_html(
             max_rows=20, float_format="{:.4g}".format, border=0, header=len(frame.columns) > 1
         )
-        name = f"<caption>{escape(self._name())}</caption>"
+        name = f"<caption>{escape(self._kind)}</caption>"
         notes = "".join(f"<p>{escape(str(note))}</p>" for note in getattr(self, "notes", ()))
         table, rest = shown.replace("<th>", '<th scope="row">').split(">", 1)
         return f"{table}>{name}{rest}{notes}"
@@ -107,9 +108,6 @@ class Statistic(Result, Mapping[str, Any]):
 
     def _list_fields(self) -> list[tuple[str, Any]]:
         return list(self._values.items())
-
-    def _name(self) -> str:
-        return self._kind
 
     def to_frame(self) -> DataFrame:
         """Return the first table, or the numbers and names in one row."""
@@ -153,11 +151,7 @@ class Statistic(Result, Mapping[str, Any]):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a kind and its values."""
-        return _make_statistic, (type(self), self._kind, self._values)
-
-
-def _make_statistic(cls: type[Statistic], kind: str, values: dict[str, Any]) -> Statistic:
-    return cls(kind, **values)
+        return partial(type(self), self._kind, **self._values), ()
 
 
 def to_json_value(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds

@@ -78,10 +78,7 @@ def test_a_registry_survives_pickling_and_copying() -> None:
     registry = Registry("thing", {"one": len, "two": max})
     for again in (pickle.loads(pickle.dumps(registry)), copy.deepcopy(registry)):  # noqa: S301 - our own bytes
         assert dict(again) == {"one": len, "two": max}
-        assert again.two is max
-    assert "two" in dir(registry)
-    assert not hasattr(registry, "three")
-    assert not hasattr(registry, "_x")
+        assert again["two"] is max
     assert repr(registry) == "<thing: one, two>"
 
 

@@ -17,8 +17,6 @@ from feel321.records import Statistic
 
 UPPER = (1 + CONFIDENCE) / 2
 NAN = float("nan")
-PAIR = 2
-"""Ratings that can agree."""
 
 CHUNK = 1_000_000
 """Pairs of values compared at a time."""
@@ -26,8 +24,10 @@ CHUNK = 1_000_000
 LEVELS = ("nominal", "ordinal", "interval", "ratio")
 """Levels of measurement."""
 
+AXES = ("targets", "raters")
+
 SMALLEST = 2
-"""Targets and raters that a variance needs at least."""
+"""Ratings that can agree; targets and raters that a variance needs at least."""
 
 COMPLETE = 0.5
 """Share of the stimuli that everyone must have rated for a ceiling of all of them."""
@@ -39,7 +39,7 @@ def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> 
     Parameters
     ----------
     table : Table, DataFrame or array_like, shape (targets, raters)
-        Ratings; or numbers, NaN where missing; on a nominal scale they stand for names.
+        Ratings; or numbers, NaN where missing; on a nominal scale also names, None where missing.
     level : str
         ``nominal`` (names), ``ordinal`` (order), ``interval`` (distances: rating scales) or ``ratio``
         (proportions; no negative values).
@@ -71,16 +71,28 @@ def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> 
     ...     [4, 4, 4, 4], [1, 1, 2, 1], [2, 2, 2, 2], [nan, 5, 5, 5], [nan, nan, 1, 1], [nan, nan, 3, nan]]
     >>> [round(analysis.krippendorff_alpha(table, level=level), 3) for level in ("nominal", "ordinal")]
     [0.743, 0.815]
+    >>> round(analysis.krippendorff_alpha([["oak", "oak"], ["ash", "oak"], ["elm", "elm"]], level="nominal"), 3)
+    0.545
     """
+    from pandas import factorize
     from scipy.stats import rankdata
 
     check_name(level, LEVELS, "level")
-    ratings = read_array(as_votes(table), what="table", axes=("targets", "raters"), missing=True)
+    given = as_votes(table)
+    cells = np.asarray(given, dtype=object)
+    if (
+        level == "nominal"
+        and cells.ndim == len(AXES)
+        and any(isinstance(one, str) for one in cells.flat)
+    ):
+        number = factorize(cells.ravel())[0].reshape(cells.shape)
+        given = np.where(number < 0, NAN, number)
+    ratings = read_array(given, what="table", axes=AXES, missing=True)
     if level == "ratio" and (ratings < 0).any():
         raise ValueError(
             f"table must not be negative on a ratio scale, got {np.nanmin(ratings)}; use level='interval'"
         )
-    pairable = ratings[np.isfinite(ratings).sum(axis=1) >= PAIR]
+    pairable = ratings[np.isfinite(ratings).sum(axis=1) >= SMALLEST]
     if not len(pairable):
         raise ValueError(f"table must have a target with two ratings, got {len(ratings)} without")
     seen = np.isfinite(pairable)
@@ -155,31 +167,24 @@ def intraclass(table: Table | ArrayLike) -> Statistic:
     """
     from scipy.stats import f
 
-    ratings = read_array(as_votes(table), what="table", axes=("targets", "raters"))
-    if min(ratings.shape) < SMALLEST:
-        raise ValueError(f"table must be at least 2 targets by 2 raters, got shape {ratings.shape}")
+    ratings = _read_complete(table)
     n, k = ratings.shape
     of_targets, of_raters = (ratings.mean(axis=axis, keepdims=True) for axis in (1, 0))
-    rounding = FLAT * float((ratings**2).sum())
+    rounding, grand = FLAT * float((ratings**2).sum()), ratings.mean()
 
     def square(deviations: Values, freedom: int) -> float:
         total = float((deviations**2).sum())
         return total / freedom if total > rounding else 0.0
 
-    grand = ratings.mean()
-    targets = k * square(of_targets - grand, n - 1)
-    raters = n * square(of_raters - grand, k - 1)
+    targets, raters = k * square(of_targets - grand, n - 1), n * square(of_raters - grand, k - 1)
     error = square(ratings - of_targets - of_raters + grand, (n - 1) * (k - 1))
     within = square(ratings - of_targets, n * (k - 1))
     values: dict[str, float] = {}
-    for form, noise, bias in (
-        ("1", within, 0.0),
-        ("a", error, (raters - error) / n),
-        ("c", error, 0.0),
-    ):
-        values[f"icc_{form}_1"] = _ratio(targets - noise, targets + (k - 1) * noise + k * bias)
+    bias = (raters - error) / n
+    for form, noise, shift in (("1", within, 0.0), ("a", error, bias), ("c", error, 0.0)):
+        values[f"icc_{form}_1"] = _ratio(targets - noise, targets + (k - 1) * noise + k * shift)
         # Where targets differ so little that their mean's variance comes out negative, the ratio would pass 1.
-        values[f"icc_{form}_k"] = _ratio(targets - noise, max(targets + bias, 0.0))
+        values[f"icc_{form}_k"] = _ratio(targets - noise, max(targets + shift, 0.0))
     for form, noise, freedom in (("1", within, n * (k - 1)), ("c", error, (n - 1) * (k - 1))):
         ratio = targets / noise if noise and targets else NAN
         low, high = f.ppf(UPPER, n - 1, freedom), f.ppf(UPPER, freedom, n - 1)
@@ -199,11 +204,22 @@ def intraclass(table: Table | ArrayLike) -> Statistic:
             _ratio(n * (lower * targets - error), rest + n * lower * targets),
         )
     for end, limit in zip(("low", "high"), agreed, strict=True):
-        values[f"icc_a_1_{end}"] = limit
         # Spearman and Brown's step from one rater to the mean of k; unbounded where it has a pole.
         below = 1 + limit * (k - 1)
-        values[f"icc_a_k_{end}"] = float("-inf") if below <= 0 else k * limit / below
+        of_mean = float("-inf") if below <= 0 else k * limit / below
+        values |= {f"icc_a_1_{end}": limit, f"icc_a_k_{end}": of_mean}
     return Statistic("Intraclass", **values, n_targets=n, n_raters=k)
+
+
+def _read_complete(table: Table | ArrayLike) -> Values:
+    ratings = read_array(as_votes(table), what="table", axes=AXES)
+    if min(ratings.shape) < SMALLEST:
+        raise ValueError(f"table must be at least 2 targets by 2 raters, got shape {ratings.shape}")
+    return ratings
+
+
+def _ratio(part: float, whole: float) -> float:
+    return part / whole if whole else NAN
 
 
 def noise_ceiling(table: Table | ArrayLike) -> float:
@@ -232,14 +248,8 @@ def noise_ceiling(table: Table | ArrayLike) -> float:
     >>> round(analysis.noise_ceiling([[1, 2], [3, 5], [6, 6]]), 3)
     0.975
     """
-    ratings = read_array(as_votes(table), what="table", axes=("targets", "raters"))
-    if min(ratings.shape) < SMALLEST:
-        raise ValueError(f"table must be at least 2 targets by 2 raters, got shape {ratings.shape}")
+    ratings = _read_complete(table)
     return noise_ceiling_within(ratings, np.zeros(len(ratings), np.intp))
-
-
-def _ratio(part: float, whole: float) -> float:
-    return part / whole if whole else NAN
 
 
 def find_ceiling(items: Items, *, within: bool) -> tuple[float, list[str]]:
@@ -256,8 +266,8 @@ def find_ceiling(items: Items, *, within: bool) -> tuple[float, list[str]]:
             f"The noise ceiling rests on the {complete.sum()} stimuli that every participant rated, "
             f"r on all {items.n_items}; r / ceiling is left out."
         )
-    table, groups = items.ratings[:, complete].T, items.recordings[complete]
-    ceiling = noise_ceiling_within(table, groups) if within else noise_ceiling(table)
+    groups = items.recordings[complete] * within
+    ceiling = noise_ceiling_within(items.ratings[:, complete].T, groups)
     if np.isnan(ceiling):
         where = " of the same recording" if within else ""
         notes.append(
@@ -269,14 +279,10 @@ def find_ceiling(items: Items, *, within: bool) -> tuple[float, list[str]]:
 def noise_ceiling_within(table: Values, groups: NDArray[np.intp]) -> float:
     """Correlation within groups of targets that a perfect predictor would reach with mean ratings as noisy as these.
 
-    table: (targets, raters); groups: (targets,); returns sqrt((R - E) / R), 0 to 1.
-
-    Notes
-    -----
-    Each group has its own two-way analysis of variance, targets x raters, and the sums of squares are pooled:
-    with n_g targets and k raters, R has Σ (n_g - 1) degrees of freedom and the residual E k - 1 times as many. What
-    raises all targets of a group, for everyone or for one rater, is neither signal nor noise here. With one group it
-    is `noise_ceiling`.
+    table: (targets, raters); groups: (targets,); gives sqrt((R - E) / R), 0 to 1. Each group has its own two-way
+    analysis of variance, targets x raters, and the sums of squares are pooled: with n_g targets and k raters, R has
+    Σ (n_g - 1) degrees of freedom and the residual E k - 1 times as many. What raises all targets of a group, for
+    everyone or for one rater, is neither signal nor noise here. With one group it is `noise_ceiling`.
     """
     by_target, n_raters = np.zeros(table.shape), table.shape[1]
     for number in np.unique(groups):

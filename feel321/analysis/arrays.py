@@ -96,21 +96,3 @@ def check_draws(draws: int, *, usual: int = 2000) -> None:
         raise ValueError(
             f"draws must be 2 or more, got {draws}; use {usual} for results to be published"
         )
-
-
-def fisher_interval(r: float, n: int, *, quantile: float | None = None) -> tuple[float, float]:
-    """95 % interval of a correlation whose Fisher's z has the variance 1 / n; NaN where it is perfect or n is 0."""
-    from scipy.stats import norm
-
-    if n < 1 or not abs(r) < PERFECT:
-        return float("nan"), float("nan")
-    margin = (norm.ppf((1 + CONFIDENCE) / 2) if quantile is None else quantile) / np.sqrt(n)
-    z = np.arctanh(r)
-    return float(np.tanh(z - margin)), float(np.tanh(z + margin))
-
-
-def find_p(z: float) -> float:
-    """Two-sided probability of a standard normal statistic."""
-    from scipy.stats import norm
-
-    return float(2 * norm.sf(abs(z)))

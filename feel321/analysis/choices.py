@@ -9,7 +9,7 @@ what metrics compare with; the recording itself and the anchors are far from eve
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -19,19 +19,15 @@ import numpy as np
 from feel321.analysis.arrays import CONFIDENCE, Values, check_columns
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table
-from feel321.analysis.table.schema import CHOSEN, HIGHEST, LOWEST
-from feel321.doors import as_names, check_name, describe
+from feel321.analysis.table.schema import CHOSEN, HIGHEST
+from feel321.doors import as_names, describe
 from feel321.records import Statistic
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-    from pandas import DataFrame
-
-    from feel321.types import Direction
 
     Codes = NDArray[np.intp]
 
-NEEDED = ("participant", STIMULUS, OTHER, "rating")
 CHANCE = 0.5
 FEWEST = 3  # Participants and recordings below which there is no interval
 FEW = "Below 3 participants or 3 recordings there is no interval."
@@ -41,8 +37,9 @@ FEW = "Below 3 participants or 3 recordings there is no interval."
 class Votes:
     """Votes as arrays, (n_votes,): numbers of participants, sources and pairs, and whether the first was chosen.
 
-    pair: the two stimuli and their reference, whichever came first. turned: whether the first is the second of its
-    pair by name. differences: (n_votes, n_metrics).
+    source: recordings, or what they were made from where several come from one. pair: the two stimuli and their
+    reference, whichever came first. turned: whether the first is the second of its pair by name. differences:
+    (n_votes, n_metrics).
     """
 
     participant: Codes
@@ -54,158 +51,82 @@ class Votes:
     differences: Values
     notes: tuple[str, ...] = ()
 
-    def __len__(self) -> int:
-        """Count the votes."""
-        return len(self.pair)
-
-    @property
-    def n_participants(self) -> int:
-        """Participants who voted."""
-        return int(self.participant.max(initial=-1)) + 1
-
-    @property
-    def n_sources(self) -> int:
-        """Recordings, or what they were made from where several come from one."""
-        return int(self.source.max(initial=-1)) + 1
+    def count(self, codes: Codes) -> int:
+        """Count the participants, sources or pairs."""
+        return int(codes.max(initial=-1)) + 1
 
     @property
     def n_units(self) -> int:
         """Participants or sources, whichever are fewer: intervals know no more than the scarcer of the two."""
-        return min(self.n_participants, self.n_sources)
+        return min(self.count(self.participant), self.count(self.source))
 
 
-def gather_votes(
-    ratings: Table | DataFrame, stimuli: DataFrame | None = None, *, scale: str | None = None, level: str | None = None,
-    metrics: Sequence[str] | None = (), higher: Mapping[str, Direction] | None = None,
-) -> Votes:  # fmt: skip
+def gather_votes(table: Table, metrics: Sequence[str] = ()) -> Votes:
     """Gather the votes of one scale; with metrics, those that the metrics are asked about."""
-    rows, listed, planned = _open(ratings, stimuli)
-    if isinstance(ratings, Table):
-        higher = {name: info.higher for name, info in ratings.info.items()} | dict(higher or {})
-    rows = _select(rows, listed, scale=scale, level=level)
-    names = planned if metrics is None else as_names(metrics, "metrics")
+    import pandas as pd
+
+    if not isinstance(table, Table) or table.stimuli is None:
+        raise TypeError(f"table must be a Table of read_table, got {describe(table)}")
+    rows, listed, names = (
+        table.rows[table.rows["scale"].isin(CHOSEN)],
+        table.stimuli,
+        as_names(metrics, "metrics"),
+    )
+    if len(several := sorted(rows["scale"].unique())) > 1:
+        raise ValueError(
+            f"scale must be given where there are several, got {', '.join(several)}; name one"
+        )
+    if rows.empty:
+        raise ValueError("table must hold a choice between two stimuli or more, got none")
     notes: list[str] = []
     if names:
         check_columns(listed, names, "stimuli")
-        rows, notes = _keep_comparable(rows, listed, names)
-    signs = np.array([-1.0 if (higher or {}).get(name) == "worse" else 1.0 for name in names])
-    return _number(rows, listed, names, signs=signs, notes=notes)
-
-
-def _open(
-    ratings: Table | DataFrame, stimuli: DataFrame | None
-) -> tuple[DataFrame, DataFrame, tuple[str, ...]]:
-    from pandas import DataFrame
-
-    if isinstance(ratings, Table):
-        if stimuli is not None:
-            raise ValueError("stimuli must be left out with a Table, which has them")
-        if ratings.stimuli is None:
-            raise ValueError("ratings must be a Table of read_table, got one without stimuli")
-        rows = ratings.rows[ratings.rows["scale"].isin(CHOSEN)]
-        return rows, ratings.stimuli, ratings.metrics
-    if not isinstance(ratings, DataFrame):
-        got = f"{describe(ratings)}; read_table reads files"
-        raise TypeError(f"ratings must be a Table or a DataFrame, got {got}")
-    if stimuli is None:
-        what = "a row per stimulus, with its metrics"
-        raise ValueError(f"stimuli must be given with a DataFrame of votes: {what}")
-    check_columns(ratings, NEEDED, "ratings")
-    listed = stimuli.set_index(STIMULUS) if STIMULUS in stimuli else stimuli
-    check_columns(listed, ["recording"], "stimuli")
-    return ratings, listed, ()
-
-
-def _select(
-    rows: DataFrame, listed: DataFrame, *, scale: str | None, level: str | None
-) -> DataFrame:
-    for column, name in (("scale", scale), ("level", level)):
-        if name is None:
-            continue
-        found = rows[column] if column in rows else rows[STIMULUS].map(listed[column])
-        rows = rows[found == check_name(name, sorted(found.unique()), column)]
-    if "scale" in rows and len(several := sorted(rows["scale"].unique())) > 1:
-        got = f"got {', '.join(several)}; name one"
-        raise ValueError(f"scale must be given where there are several, {got}")
-    if rows.empty:
-        raise ValueError("ratings must hold a choice between two stimuli or more, got none")
-    if not rows["rating"].isin([LOWEST, HIGHEST]).all():
-        raise ValueError("ratings must be 100 (stimulus_id was chosen) or 0 (other_id was chosen)")
-    for name in (STIMULUS, OTHER):
-        if strangers := sorted(set(rows[name]) - set(listed.index)):
-            got = f"got {strangers[0]!r}"
-            raise ValueError(f"{name} must be a stimulus of the table of stimuli, {got}")
-    return rows
-
-
-def _keep_comparable(
-    rows: DataFrame, listed: DataFrame, metrics: Sequence[str]
-) -> tuple[DataFrame, list[str]]:
-    """Keep the votes between test stimuli that have all metrics, about the recording itself."""
-    both = [rows[name] for name in (STIMULUS, OTHER)]
-    is_matched = rows["matched"].to_numpy(bool) if "matched" in rows else np.ones(len(rows), bool)
-    is_test = np.ones(len(rows), dtype=bool)
-    if ROLE in listed:
+        both = [rows[name] for name in (STIMULUS, OTHER)]
         is_test = np.logical_and(*(ids.map(listed[ROLE]).to_numpy() == TEST for ids in both))
-    known = listed[list(metrics)].notna().all(axis=1)
-    kept = is_matched & is_test & np.logical_and(*(ids.map(known).to_numpy(bool) for ids in both))
-    notes = []
-    if lost := int((is_test & ~kept).sum()):
-        why = "have another reference than the recording, or a stimulus without a value of some metric"
-        notes.append(f"{lost} choices {why}: no metric is tested on them.")
-    if not kept.any():
-        raise ValueError(notes[0] if notes else "No choice is between two test stimuli.")
-    return rows[kept], notes
-
-
-def _number(
-    rows: DataFrame, listed: DataFrame, metrics: Sequence[str], *, signs: Values, notes: list[str]
-) -> Votes:
-    import pandas as pd
-
+        is_known = listed[list(names)].notna().all(axis=1)
+        kept = is_test & rows["matched"].to_numpy(bool)
+        kept &= np.logical_and(*(ids.map(is_known).to_numpy(bool) for ids in both))
+        if lost := int((is_test & ~kept).sum()):
+            why = "have another reference than the recording, or a stimulus without a value of some metric"
+            notes.append(f"{lost} choices {why}: no metric is tested on them.")
+        if not kept.any():
+            raise ValueError(notes[0] if notes else "No choice is between two test stimuli.")
+        rows = rows[kept]
     one, other = (rows[name].astype(str).to_numpy() for name in (STIMULUS, OTHER))
-    names, codes = np.unique(np.concatenate([one, other]), return_inverse=True)
+    known, codes = np.unique(np.concatenate([one, other]), return_inverse=True)
     first, second = np.split(codes.astype(np.intp), 2)
-    if (first == second).any():
-        got = f"got {one[first == second][0]!r} twice"
-        raise ValueError(f"other_id must be another stimulus than stimulus_id, {got}")
-    about = rows.get("reference_id", pd.Series("", rows.index)).fillna("").to_numpy()
-    ends = np.minimum(first, second), np.maximum(first, second)
-    origin = rows[STIMULUS].map(listed["source" if "source" in listed else "recording"])
-    values = listed.loc[names, list(metrics)].to_numpy(np.float64) * signs
+    ends = (
+        np.minimum(first, second),
+        np.maximum(first, second),
+        rows["reference_id"].fillna("").to_numpy(),
+    )
+    worse = [name in table.info and table.info[name].higher == "worse" for name in names]
+    values = listed.loc[known, list(names)].to_numpy(np.float64) * np.where(worse, -1.0, 1.0)
     return Votes(
-        participant=pd.factorize(rows["participant"])[0], source=pd.factorize(origin)[0],
-        pair=pd.factorize(pd.MultiIndex.from_arrays([*ends, about]))[0], turned=first > second,
-        chose_first=(rows["rating"] == HIGHEST).to_numpy(), metrics=tuple(metrics),
+        participant=pd.factorize(rows["participant"])[0], source=pd.factorize(rows[STIMULUS].map(listed["source"]))[0],
+        pair=pd.factorize(pd.MultiIndex.from_arrays([*ends]))[0], turned=first > second,
+        chose_first=(rows["rating"] == HIGHEST).to_numpy(), metrics=names,
         differences=values[first] - values[second], notes=tuple(notes),
     )  # fmt: skip
 
 
 def predict_votes(
-    ratings: Table | DataFrame,
+    table: Table,
     metrics: Sequence[str] | None = None,
     *,
-    stimuli: DataFrame | None = None,
     scale: str | None = None,
     level: str | None = None,
-    higher: Mapping[str, Direction] | None = None,
 ) -> Statistic:
     """Count how many choices between two stimuli each metric predicts.
 
     Parameters
     ----------
-    ratings : Table or DataFrame
-        Choices: a Table with triplets or preferences, or the columns ``participant``, ``stimulus_id`` (felt first),
-        ``other_id`` and ``rating`` (100 where the first was chosen, 0 where the other was).
+    table : Table
+        Triplets or preferences, as `read_table` gives them.
     metrics : sequence of str, optional
-        Columns of the stimuli; the declared ones of a Table if left out.
-    stimuli : DataFrame, optional
-        With a DataFrame of choices: one row per ``stimulus_id`` with ``recording``, the metrics, and ``role`` and
-        ``source`` where there are any.
+        Columns of the stimuli; the declared ones of the table if left out.
     scale, level : str, optional
         Which choices; needed where there are several scales.
-    higher : Mapping of str to {"better", "worse"}, optional
-        Whether a larger value of a metric is better or worse; what a Table's metrics declare, else better.
 
     Returns
     -------
@@ -239,14 +160,18 @@ def predict_votes(
     --------
     >>> import pandas as pd
     >>> from feel321 import analysis
-    >>> stimuli = pd.DataFrame({"stimulus_id": list("xyz"), "recording": "oak", "match": [0.9, 0.5, 0.1]})
+    >>> manifest = pd.DataFrame({"stimulus_id": list("xyz"), "recording": "oak", "reducer": list("abc"),
+    ...     "role": "test", "match": [0.9, 0.5, 0.1]})
     >>> votes = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxz"), "other_id": list("yzzx"),
-    ...     "rating": [100, 100, 0, 0]})
-    >>> analysis.predict_votes(votes, ["match"], stimuli=stimuli).shares["share"].tolist()
+    ...     "scale": "preference", "trial": [1, 2, 1, 2], "rating": [100, 100, 0, 0]})
+    >>> table = analysis.read_table(votes, manifest, metrics=["match"])
+    >>> analysis.predict_votes(table).shares["share"].tolist()
     [0.75]
     """
-    votes = gather_votes(ratings, stimuli, scale=scale, level=level, metrics=metrics, higher=higher)
-    return predict(votes)
+    if isinstance(table, Table):
+        table = table.select(scale, level=level)
+        metrics = table.metrics if metrics is None else metrics
+    return predict(gather_votes(table, metrics or ()))
 
 
 def predict(votes: Votes) -> Statistic:
@@ -274,15 +199,15 @@ def predict(votes: Votes) -> Statistic:
     if not is_known:
         few = "Fewer than half of the choices were also made by somebody else"
         notes.append(f"{few}: how well people agree cannot be estimated.")
-    alike = infer_share(votes, others if is_known else np.full(len(votes), np.nan))
+    alike = infer_share(votes, others if is_known else np.full(len(votes.pair), np.nan))
     return Statistic(
         "VotePrediction",
         shares=shares.assign(p_holm=adjust_holm(shares["p"].tolist())),
         differences=differences.assign(p_holm=adjust_holm(differences["p"].tolist())),
         others=alike["share"], others_low=alike["low"], others_high=alike["high"],
         majority=float(majority.mean()) if is_known else np.nan,
-        n_votes=len(votes), n_participants=votes.n_participants, n_recordings=votes.n_sources,
-        n_pairs=int(votes.pair.max()) + 1, notes=tuple(notes),
+        n_votes=len(votes.pair), n_participants=votes.count(votes.participant), n_recordings=votes.count(votes.source),
+        n_pairs=votes.count(votes.pair), notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -317,12 +242,11 @@ def infer_share(votes: Votes, scores: Values) -> dict[str, float]:
 
 def _measure_error(votes: Votes, influence: Values) -> float:
     """Measure the standard error of a mean from the influence of each vote, (n_votes,), by two-way clustering."""
-    cells, parts = votes.participant * votes.n_sources + votes.source, []
+    cells, parts = votes.participant * votes.count(votes.source) + votes.source, []
     for groups in (votes.participant, votes.source, cells):
         sums = np.bincount(np.unique(groups, return_inverse=True)[1], influence)
-        parts.append(
-            float(sums @ sums) * len(sums) / max(len(sums) - 1, 1)
-        )  # G / (G - 1) for G groups
+        # G / (G - 1) for G groups
+        parts.append(float(sums @ sums) * len(sums) / max(len(sums) - 1, 1))
     one, other, both = parts
     error = float(np.sqrt(max(one + other - both, one, other)))
     return error if votes.n_units >= FEWEST and error > 0 else float("nan")

@@ -40,12 +40,7 @@ ROUGH, FINE = (300, 1e-6), (1000, 1e-9)  # Steps at most, and the change of stre
 
 
 def fit_space(
-    dissimilarities: Table | ArrayLike,
-    *,
-    dimensions: int = 2,
-    ordinal: bool = False,
-    draws: int = 0,
-    rng: Rng = 0,
+    dissimilarities: Table | ArrayLike, *, dimensions: int = 2, draws: int = 0, rng: Rng = 0
 ) -> Statistic:
     """Place stimuli so that distances agree with dissimilarities.
 
@@ -56,8 +51,6 @@ def fit_space(
         a stack of them, which is averaged for the group's map.
     dimensions : int
         Of the map, 1 to stimuli - 1.
-    ordinal : bool
-        Use only the order of the dissimilarities (non-metric scaling).
     draws : int
         Bootstrap draws of participants for 95 % ellipses on a map of two dimensions, 3 or more; 0 for none.
     rng : int or Generator
@@ -67,15 +60,14 @@ def fit_space(
     -------
     Statistic
         ``table``, a row per stimulus: its name or number, and its position along each axis; ``positions``, (n_stimuli,
-        n_dimensions), in the unit of the dissimilarities (of ordinal maps, in a unit of their own); ``stress``,
-        Kruskal's stress-1: 0 fits perfectly, .05 well, .1 fairly, .2 poorly; ``ordinal names``; ``ellipses`` (with
-        draws): ``half_axes``, (n_stimuli, 2), the longer first, ``angle`` of the longer axis against the first
-        dimension, in degrees, ``draws n_participants``.
+        n_dimensions), in the unit of the dissimilarities; ``stress``, Kruskal's stress-1: 0 fits perfectly, .05 well,
+        .1 fairly, .2 poorly; ``names``; ``ellipses`` (with draws): ``half_axes``, (n_stimuli, 2), the longer first,
+        ``angle`` of the longer axis against the first dimension, in degrees, ``draws n_participants``.
 
     Notes
     -----
-    SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs. Stress-1 = √(Σ (δ̂ - d)² / Σ d²), where δ̂ is
-    δ, or in ordinal maps its best monotone transform. Averaging assumes that people share one map.
+    SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs. Stress-1 = √(Σ (δ - d)² / Σ d²). Averaging assumes that
+    people share one map.
 
     For ellipses, every draw of participants is scaled anew, from the group's map on, and aligned with it by Procrustes'
     rotation; what is left is the positions' covariance C. The ellipse is {x: (x - m)ᵀ C⁻¹ (x - m) <= χ²(.95, 2) P /
@@ -95,70 +87,70 @@ def fit_space(
     >>> analysis.fit_space(distances).stress < 1e-3
     True
     """
+    from pandas import DataFrame
+
     rng, names = as_rng(rng), tuple[str, ...]()
     if is_tidy(dissimilarities):
         names, dissimilarities = gather_dissimilarities(dissimilarities)
-    if draws:
-        if dimensions != PLANE:
-            raise ValueError(
-                f"dimensions must be 2 for ellipses, got {dimensions}; leave draws out"
-            )
-        ellipses = bootstrap_space(dissimilarities, ordinal=ordinal, draws=draws, rng=rng)
-        places, stress = ellipses.space.positions, ellipses.space.stress
-        return make_space(places, stress, ordinal=ordinal, names=names, ellipses=ellipses)
     target = check_dissimilarities(dissimilarities)
     if not 1 <= dimensions < len(target):
         most = len(target) - 1
         raise ValueError(f"dimensions must be 1 to {most} for {most + 1} stimuli, got {dimensions}")
+    if draws and dimensions != PLANE:
+        raise ValueError(f"dimensions must be 2 for ellipses, got {dimensions}; leave draws out")
     starts = [_place_classically(target, dimensions)]
     starts += [target.max() * rng.uniform(-1, 1, (len(target), dimensions)) for _ in range(STARTS)]
-    tried = [_scale(target, start, ordinal=ordinal, steps=ROUGH) for start in starts]
-    rough, _ = min(tried, key=lambda fit: fit[1])
-    positions, stress = _scale(target, rough, ordinal=ordinal, steps=FINE)
+    rough, _ = min((_scale(target, start, ROUGH) for start in starts), key=lambda fit: fit[1])
+    positions, stress = _scale(target, rough, FINE)
     # The largest spread goes along the first axis, and the farthest stimulus to its positive side.
     centred = positions - positions.mean(axis=0)
     turned: Values = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
     strongest = turned[np.abs(turned).argmax(axis=0), np.arange(dimensions)]
     places = turned * np.where(strongest < 0, -1.0, 1.0)
-    return make_space(places, stress, ordinal=ordinal, names=names)
-
-
-def make_space(
-    positions: Values,
-    stress: float,
-    *,
-    ordinal: bool = False,
-    names: tuple[str, ...] = (),
-    ellipses: Statistic | None = None,
-) -> Statistic:
-    """Make a map of positions, (n_stimuli, n_dimensions)."""
-    from pandas import DataFrame
-
-    axes = [f"axis_{number}" for number in range(1, positions.shape[1] + 1)]
-    table = DataFrame(positions, columns=axes)
+    axes = [f"axis_{number}" for number in range(1, dimensions + 1)]
+    table = DataFrame(places, columns=axes)
     table.insert(0, "stimulus", list(names or range(len(table))))
+    ellipses = _draw_ellipses(dissimilarities, places, draws=draws, rng=rng) if draws else None
     return Statistic(
-        "Space", table=table, positions=positions, stress=stress, ordinal=ordinal, names=names, ellipses=ellipses
-    )  # fmt: skip
+        "Space", table=table, positions=places, stress=stress, names=names, ellipses=ellipses
+    )
 
 
-def refit_space(dissimilarities: ArrayLike, space: Statistic) -> Statistic:
-    """Fit other dissimilarities of the same stimuli, starting from a map."""
-    target = check_dissimilarities(dissimilarities)
-    positions, stress = _scale(target, space.positions, ordinal=space.ordinal, steps=ROUGH)
-    return make_space(positions, stress, ordinal=space.ordinal)
+def _draw_ellipses(
+    dissimilarities: object, places: Values, *, draws: int, rng: np.random.Generator
+) -> Statistic:
+    """Draw participants anew and see how far each stimulus moves on the group's map of two dimensions."""
+    from scipy.stats import chi2
+
+    stack = read_numbers(dissimilarities, what="dissimilarities")
+    if stack.ndim == PLANE or len(stack) < PLANE:
+        raise ValueError("ellipses need dissimilarities of two participants or more, got one")
+    if draws <= PLANE:
+        raise ValueError(f"draws must be 3 or more, got {draws}; use 200")
+    seen, group = np.isfinite(stack), check_dissimilarities(stack)
+    weights = draw_counts(len(stack), draws, rng=rng)
+    votes = np.einsum("dp,pij->dij", weights, seen)
+    sums = np.einsum("dp,pij->dij", weights, np.where(seen, stack, 0))
+    means = np.divide(sums, votes, out=np.broadcast_to(group, sums.shape).copy(), where=votes > 0)
+    placed = [
+        _align(_scale(check_dissimilarities(mean), places, ROUGH)[0], places) for mean in means
+    ]
+    moved = np.stack(placed) - np.mean(placed, axis=0)
+    covariance = np.einsum("dni,dnj->nij", moved, moved) / (draws - 1)
+    values, vectors = np.linalg.eigh(covariance)
+    scale = float(chi2.ppf(CONFIDENCE, PLANE)) * len(stack) / (len(stack) - 1)
+    half_axes = np.sqrt(scale * np.maximum(values[:, ::-1], 0))
+    angle = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])) % 180
+    return Statistic(
+        "Ellipses", half_axes=half_axes, angle=angle, draws=draws, n_participants=len(stack)
+    )
 
 
-def stress_by_dimension(
-    dissimilarities: ArrayLike, *, most: int = 5, ordinal: bool = False, rng: Rng = 0
-) -> tuple[float, ...]:
-    """Stress-1 of maps with 1, 2, ... dimensions, up to stimuli - 1, to see how many are enough."""
+def stress_by_dimension(dissimilarities: ArrayLike, *, rng: Rng = 0) -> tuple[float, ...]:
+    """Stress-1 of maps with 1, 2, ... dimensions, up to 5 or stimuli - 1, to see how many are enough."""
     target, rng = check_dissimilarities(dissimilarities), as_rng(rng)
-    if most < 1:
-        raise ValueError(f"most must be 1 or more, got {most}")
-    numbers = range(1, min(most, len(target) - 1) + 1)
-    spaces = (fit_space(target, dimensions=n, ordinal=ordinal, rng=rng) for n in numbers)
-    return tuple(space.stress for space in spaces)
+    numbers = range(1, min(5, len(target) - 1) + 1)
+    return tuple(fit_space(target, dimensions=n, rng=rng).stress for n in numbers)
 
 
 def gather_dissimilarities(ratings: Table | DataFrame) -> tuple[tuple[str, ...], Values]:
@@ -223,24 +215,19 @@ def _place_classically(target: Values, dimensions: int) -> Values:
     return placed
 
 
-def _scale(
-    target: Values, start: Values, *, ordinal: bool, steps: tuple[int, float]
-) -> tuple[Values, float]:
-    from sklearn.isotonic import IsotonicRegression
+def _scale(target: Values, start: Values, steps: tuple[int, float]) -> tuple[Values, float]:
+    """Scale dissimilarities from a start on: positions and stress-1."""
     from sklearn.manifold import smacof
 
     most, close = steps
     positions, _ = smacof(
-        target, metric=not ordinal, n_components=start.shape[1], init=start, n_init=1, max_iter=most, eps=close,
-        normalized_stress=ordinal,
+        target, n_components=start.shape[1], init=start, n_init=1, max_iter=most, eps=close, normalized_stress=False
     )  # fmt: skip
     pairs = np.triu_indices(len(target), 1)
     distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(axis=-1))[pairs]
-    wanted = target[pairs]
-    if ordinal:
-        # SMACOF's own stress of an ordinal map is of a transform scaled to a fixed size, and so above Kruskal's.
-        wanted = IsotonicRegression().fit_transform(wanted, distances)
-    return positions, float(np.sqrt(((wanted - distances) ** 2).sum() / (distances**2).sum()))
+    return positions, float(
+        np.sqrt(((target[pairs] - distances) ** 2).sum() / (distances**2).sum())
+    )
 
 
 def align_spaces(
@@ -273,36 +260,6 @@ def align_spaces(
     return Statistic(
         "Alignment", disparity=disparity, correlation=float(np.sqrt(1 - disparity)), p=p,
         aligned=_align(one, other), permutations=permutations,
-    )  # fmt: skip
-
-
-def bootstrap_space(
-    dissimilarities: object, *, ordinal: bool = False, draws: int = 200, rng: Rng = 0
-) -> Statistic:
-    """Draw participants anew and see how far each stimulus moves on the group's map of two dimensions."""
-    from scipy.stats import chi2
-
-    group, rng = check_dissimilarities(dissimilarities), as_rng(rng)
-    stack = read_numbers(dissimilarities, what="dissimilarities")
-    if stack.ndim == PLANE or len(stack) < PLANE:
-        raise ValueError("ellipses need dissimilarities of two participants or more, got one")
-    if draws <= PLANE:
-        raise ValueError(f"draws must be 3 or more, got {draws}; use 200")
-    space = fit_space(group, ordinal=ordinal, rng=rng)
-    seen = np.isfinite(stack)
-    weights = draw_counts(len(stack), draws, rng=rng)
-    votes = np.einsum("dp,pij->dij", weights, seen)
-    sums = np.einsum("dp,pij->dij", weights, np.where(seen, stack, 0))
-    means = np.divide(sums, votes, out=np.broadcast_to(group, sums.shape).copy(), where=votes > 0)
-    placed = [_align(refit_space(mean, space).positions, space.positions) for mean in means]
-    moved = np.stack(placed) - np.mean(placed, axis=0)
-    covariance = np.einsum("dni,dnj->nij", moved, moved) / (draws - 1)
-    values, vectors = np.linalg.eigh(covariance)
-    scale = float(chi2.ppf(CONFIDENCE, PLANE)) * len(stack) / (len(stack) - 1)
-    half_axes = np.sqrt(scale * np.maximum(values[:, ::-1], 0))
-    angle = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])) % 180
-    return Statistic(
-        "Ellipses", space=space, half_axes=half_axes, angle=angle, draws=draws, n_participants=len(stack)
     )  # fmt: skip
 
 

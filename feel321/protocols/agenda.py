@@ -13,26 +13,15 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
+from feel321.protocols import trial as nouns
 from feel321.protocols.tasks import measure_chance
 from feel321.protocols.texts import Question, list_pages
-from feel321.protocols.trial import (
-    ASIDE,
-    LOST,
-    MATCHING,
-    MOST_LOST,
-    SPOILED,
-    THRESHOLD,
-    VALID,
-    Flow,
-    Page,
-    Trial,
-)
+from feel321.protocols.trial import LOST, MATCHING, SPOILED, THRESHOLD, VALID, Flow, Page, Trial
 
 SECONDS = 60.0
+# Pages after which the time to the next break starts anew, and phases whose answers are results.
 RELAXING = frozenset({"main", "break", "rest", "warm_up", "threshold_done", "matching_done"})
-"""Pages after which the time to the next break starts anew."""
-
-COUNTED = frozenset({"main", THRESHOLD, MATCHING})  # phases whose answers are results
+COUNTED = frozenset({"main", THRESHOLD, MATCHING})
 
 
 class Agenda:
@@ -76,7 +65,7 @@ class Agenda:
 
     def tell_page(self, key: str, *, time_s: float) -> None:
         """Take a page as read at a time in s since the session began; the pages `ASIDE` may be read at any time."""
-        if key in ASIDE:
+        if key in nouns.ASIDE:
             return
         self._take(key)
         if key in RELAXING:
@@ -94,7 +83,7 @@ class Agenda:
         self.lost_in_a_row = self.lost_in_a_row + 1 if outcome == LOST else 0
         if outcome != VALID:
             self._failed[number, outcome] += 1
-            most = MOST_LOST if outcome == LOST else self.flow.max_attempts
+            most = nouns.MOST_LOST if outcome == LOST else self.flow.max_attempts
             if self._failed[number, outcome] < most:
                 # Behind what is left of its block, else of its section, else at once.
                 left = [(n, t) for n, t in enumerate(self._steps, 1) if isinstance(t, Trial)]

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     Groups = Mapping[str, Sequence[Comparison]]  # the comparisons of each recording
     Spot = tuple[str, int]  # a comparison, by its recording and its index there
+    Row = tuple[int, ...]
     Blocks = tuple[tuple[Spot, ...], ...]
     Ends = tuple[int, int]
 
@@ -70,9 +71,7 @@ def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[Tas
         yield TaskTrials(task, groups, lessons)
 
 
-MIXABLE = (
-    3  # fewest rows that go in a circle so that none begins with what the one before ended with
-)
+MIXABLE = 3  # fewest rows in a circle so that none begins with what the one before ended with
 
 
 def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
@@ -86,29 +85,24 @@ def _order_williams(rounds: Sequence[Groups], *, number: int, rng: Generator) ->
     sizes = [{len(groups) for groups in rounds}, {len(g) for own in rounds for g in own.values()}]
     # Sorted, so that the same state of the generator always gives the same rows.
     outer, inner = ({n: shuffle_rows(n, rng) for n in sorted(own)} for own in sizes)
+
+    def take_row(n: int, rows: Sequence[int], start: int, *, turn: int, touching: bool) -> Row:
+        # Where successive rows touch, two conditions can only come in the same order.
+        moves = 0 if touching and len(rows) < MIXABLE else turn
+        return williams_row(n, rows[(start + moves) % len(rows)])
+
     for turn, groups in enumerate(rounds):
         recordings, blocks, n = tuple(groups), [], len(groups)
-        for place in _take_row(n, outer[n], number, turn=turn, touching=True):
+        for place in take_row(n, outer[n], number, turn=turn, touching=True):
             own = recordings[place]
-            size = len(groups[own])
-            start = place + number * _find_stride(len(inner[size]), n)
-            row = _take_row(size, inner[size], start, turn=turn, touching=n == 1)
+            size, n_rows = len(groups[own]), len(inner[len(groups[own])])
+            # The stride nearest to the rows that were used, of those that reach all going round and round.
+            strides = [step for step in range(1, n_rows + 1) if gcd(step, n_rows) == 1]
+            away = [min((step - n) % n_rows, (n - step) % n_rows) for step in strides]
+            start = place + number * strides[away.index(min(away))]
+            row = take_row(size, inner[size], start, turn=turn, touching=n == 1)
             blocks.append(tuple((own, index) for index in row))
         yield tuple(blocks)
-
-
-def _take_row(
-    n: int, rows: Sequence[int], start: int, *, turn: int, touching: bool
-) -> tuple[int, ...]:
-    """Take the row whose turn it is. Where successive rows touch, two conditions can only come in the same order."""
-    moves = 0 if touching and len(rows) < MIXABLE else turn
-    return williams_row(n, rows[(start + moves) % len(rows)])
-
-
-def _find_stride(n_rows: int, n_used: int) -> int:
-    """Find the step next to `n_used` that reaches all rows, going round and round."""
-    steps = (step for step in range(1, n_rows + 1) if gcd(step, n_rows) == 1)
-    return min(steps, key=lambda step: min((step - n_used) % n_rows, (n_used - step) % n_rows))
 
 
 def shuffle_rows(n: int, rng: Generator) -> list[int]:
@@ -157,9 +151,8 @@ def _shuffle(things: Sequence[Thing], rng: Generator) -> list[Thing]:
 
 # The random order: all recordings mixed, none twice in a row, references spread over the whole.
 
+# Catch trials that are spaced. Anchors are a third of some rounds: spacing them would let everybody foresee them.
 SPACED = frozenset({"identical", "hidden_reference"})
-"""Catch trials that are spaced. Anchors are a third of some rounds: spacing them would let everybody foresee them."""
-
 PATIENCE = 30  # draws no better than the best, after which an order need not keep the rules
 
 
@@ -172,8 +165,7 @@ class _Card(NamedTuple):
 def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
     """Mix all recordings anew for every participant and round.
 
-    Rules that cannot be kept, as with a single recording, are broken as rarely as possible; `find_crowding` says how
-    often.
+    Rules that cannot be kept, as with one recording, are broken as rarely as possible (`find_crowding`).
     """
     own = _spawn_participant(rng, number)
     last = _Card("", 0, is_spaced=False)
@@ -358,21 +350,19 @@ def select_share(
 TASK_ORDERS = ("fixed", "counterbalanced")  # the same for all participants, or by a Williams square
 
 
-def order_tasks(tasks: Sequence[Task], *, number: int) -> tuple[Task, ...]:
-    """Order the tasks of participant `number` (from 1) by successive rows of a Williams square."""
-    n = len(tasks)
-    return tuple(tasks[place] for place in williams_row(n, (number - 1) % count_rows(n)))
-
-
-def arrange_sections(trials: Iterable[Trial], tasks: Sequence[Task]) -> Trials:
-    """Put the sections of a session into the order of tasks, as they are, and number trials and blocks anew."""
-    places = [task.protocol for task in tasks]
+def arrange_sections(
+    trials: Iterable[Trial], tasks: Sequence[Task], *, number: int
+) -> tuple[Trials, tuple[Task, ...]]:
+    """Order sections, numbered anew, and tasks of participant `number` by successive rows of a Williams square."""
+    row = williams_row(len(tasks), (number - 1) % count_rows(len(tasks)))
+    places = [tasks[place].protocol for place in row]
     ordered = sorted(trials, key=lambda trial: places.index(trial.protocol))
     blocks = list(dict.fromkeys(trial.block for trial in ordered))
-    return Trials(
-        replace(trial, number=number, block=blocks.index(trial.block) + 1)
-        for number, trial in enumerate(ordered, start=1)
+    numbered = (
+        replace(trial, number=place, block=blocks.index(trial.block) + 1)
+        for place, trial in enumerate(ordered, start=1)
     )
+    return Trials(numbered), tuple(tasks[place] for place in row)
 
 
 TURNS = 2**16  # to draw from: many more than any trial has arrangements
@@ -389,8 +379,7 @@ def make_rehearsal(
     not move on, so that an order drawn from it stays what it is.
     """
     (own,) = rng.spawn(1)
-    sections = _gather_trials(items, tasks)
-    drafts = chain.from_iterable(_rehearse(section, own) for section in sections)
+    drafts = [one for section in _gather_trials(items, tasks) for one in _rehearse(section, own)]
     return Trials(replace(draft, number=n) for n, draft in enumerate(drafts, start=first_number))
 
 

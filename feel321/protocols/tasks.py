@@ -14,8 +14,9 @@ with every turn, so that the mean over balanced trials has no advantage of the f
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from hashlib import sha256
-from itertools import chain, combinations, islice
+from itertools import combinations, islice
 from math import prod
 from typing import Any
 
@@ -114,7 +115,6 @@ def _select(items: Items, role: str) -> list[Item]:
 
 
 def _find_catch(item: Item, reference: Item | None) -> str:
-    """Find the kind of catch trial that a stimulus makes beside its reference; empty for none."""
     if item == reference:
         return "identical"
     if item.role == "reference" and reference is None:
@@ -122,16 +122,14 @@ def _find_catch(item: Item, reference: Item | None) -> str:
     return "anchor" if item.role == "anchor" else ""
 
 
-def _feel_reference(item: Item, items: Items, task: Task) -> tuple[Item | None, Part]:
-    """Find what an item is compared with, None for the real surface, and the part in which it is felt."""
+def _feel_before(item: Item, items: Items, task: Task) -> tuple[Item | None, tuple[Part, ...]]:
+    """Find the reference of an item, None for the real surface or where there is none, and what is felt before it."""
+    if not PROTOCOLS[task.protocol].references:
+        return None, ((Part(SURFACE, surface=item.recording),) if task.surface else ())
     if task.reference == SURFACE:
-        return None, Part("reference", surface=item.recording)
+        return None, (Part("reference", surface=item.recording),)
     found = find_reference(item, items, reference=task.reference)
-    return found, Part("reference", found.stimulus_id)
-
-
-def _touch_first(item: Item, task: Task) -> tuple[Part, ...]:
-    return (Part(SURFACE, surface=item.recording),) if task.surface else ()
+    return found, (Part("reference", found.stimulus_id),)
 
 
 def _pose(
@@ -151,56 +149,39 @@ def arrange_pair(comparison: Comparison, turn: int) -> Comparison:
     (asked,) = comparison.judgements
     expected = asked.expected
     if expected and asked.part in CHOICES:
-        expected = _turn_over(expected)
+        expected = (HIGHEST - expected[1], HIGHEST - expected[0])
     swapped = (replace(other, name=one.name), replace(one, name=other.name))
     return _pose(asked.part, *before, *swapped, expected=expected, catch=comparison.catch)
 
 
-def _turn_over(expected: Interval) -> Interval:
-    return HIGHEST - expected[1], HIGHEST - expected[0]
-
-
-def compare_realism(items: Items, task: Task) -> Comparisons:
-    """Judge every stimulus by itself."""
-    return tuple(_pose_rating(item, None, *_touch_first(item, task)) for item in items)
-
-
-def compare_similarity(items: Items, task: Task) -> Comparisons:
-    """Compare every stimulus with its reference."""
-    return tuple(_pose_rating(item, *_feel_reference(item, items, task)) for item in items)
-
-
-def _pose_rating(item: Item, reference: Item | None, *before: Part) -> Comparison:
-    catch = _find_catch(item, reference)
-    test = Part("test", item.stimulus_id)
-    return _pose("test", *before, test, expected=EXPECTED.get(catch), catch=catch)
-
-
-def compare_dissimilarity(items: Items, _task: Task) -> Comparisons:
-    """Compare all pairs of the reducers and the original, within each level arm."""
+def compare_singly(items: Items, task: Task) -> Comparisons:
+    """Judge every stimulus by itself, or compare it with its reference."""
     comparisons = []
-    for arm in split_arms(items):
-        felt = [find_reference(arm[0], arm), *_select(arm, "test")]
-        comparisons += [_pose_difference(*pair) for pair in combinations(felt, 2)]
-        comparisons.append(_pose_difference(felt[0], felt[0], catch="identical"))
+    for item in items:
+        reference, before = _feel_before(item, items, task)
+        catch = _find_catch(item, reference)
+        test, expected = Part("test", item.stimulus_id), EXPECTED.get(catch)
+        comparisons.append(_pose("test", *before, test, expected=expected, catch=catch))
     return tuple(comparisons)
 
 
-def teach_dissimilarity(items: Items, task: Task) -> Comparisons:
-    """Show also how the anchors differ from the original."""
-    obvious = (
-        _pose_difference(find_reference(item, arm), item, catch="anchor")
-        for arm in split_arms(items)
-        for item in _select(arm, "anchor")
-    )
-    return (*compare_dissimilarity(items, task), *obvious)
-
-
-def _pose_difference(first: Item, second: Item, *, catch: str = "") -> Comparison:
-    parts = (Part("first", first.stimulus_id), Part("second", second.stimulus_id))
-    # Points of difference, where EXPECTED holds points of likeness.
-    expected = _turn_over(EXPECTED[catch]) if catch else None
-    return _pose("second", *parts, expected=expected, catch=catch)
+def compare_dissimilarity(items: Items, _task: Task, *, teach: bool = False) -> Comparisons:
+    """Compare all pairs of the reducers and the original, within each level arm; in training, the anchors too."""
+    arms = [(find_reference(arm[0], arm), arm) for arm in split_arms(items)]
+    pairs = [
+        (*pair, "identical" if pair[0] == pair[1] else "")
+        for original, arm in arms
+        for pair in [*combinations([original, *_select(arm, "test")], 2), (original, original)]
+    ]
+    anchors = [(one, low, "anchor") for one, arm in arms for low in _select(arm, "anchor")]
+    comparisons = []
+    for first, second, catch in [*pairs, *anchors] if teach else pairs:
+        parts = (Part("first", first.stimulus_id), Part("second", second.stimulus_id))
+        # Points of difference, where EXPECTED holds points of likeness.
+        low, high = EXPECTED.get(catch, (LOWEST, HIGHEST))
+        expected = (HIGHEST - high, HIGHEST - low) if catch else None
+        comparisons.append(_pose("second", *parts, expected=expected, catch=catch))
+    return tuple(comparisons)
 
 
 def compare_mushra(items: Items, task: Task) -> Comparisons:
@@ -213,7 +194,7 @@ def compare_mushra(items: Items, task: Task) -> Comparisons:
                 f"{MUSHRA_MOST} stimuli with the hidden reference and the anchors, got {len(arm)}; build a set of "
                 "fewer reducers"
             )
-        found, part = _feel_reference(arm[0], arm, task)
+        found, (part,) = _feel_before(arm[0], arm, task)
         about = part.stimulus_id
         judged = [
             Judgement("", item.stimulus_id, about, EXPECTED.get(_find_catch(item, found)))
@@ -236,25 +217,20 @@ def _fill_page(reference: Part, judgements: Iterable[Judgement]) -> Comparison:
     return Comparison((reference, *parts), numbered)
 
 
-def compare_abx(items: Items, task: Task) -> Comparisons:
-    """Compare every stimulus of a recording with the reference of its level arm."""
+def compare_abx(items: Items, task: Task, *, teach: bool = False) -> Comparisons:
+    """Compare every stimulus of a recording with the reference of its level arm.
+
+    In training every right answer is known: x was one of the two, however hard to distinguish.
+    """
     comparisons = []
     for arm in split_arms(items):
         reference = find_reference(arm[0], arm, reference=task.reference)
         for item in (item for item in arm if item != reference):
             catch = _find_catch(item, reference)
-            expected = RIGHT if catch else None
+            expected = RIGHT if catch or teach else None
             judgement = Judgement("x", item.stimulus_id, reference.stimulus_id, expected)
             comparisons.append(arrange_abx(Comparison((), (judgement,), catch), 0))
     return tuple(comparisons)
-
-
-def teach_abx(items: Items, task: Task) -> Comparisons:
-    """Make the right answer of every comparison known: x was one of the two, however hard to distinguish."""
-    return tuple(
-        replace(c, judgements=tuple(replace(j, expected=RIGHT) for j in c.judgements))
-        for c in compare_abx(items, task)
-    )
 
 
 def arrange_abx(comparison: Comparison, turn: int) -> Comparison:
@@ -272,39 +248,35 @@ def compare_choices(items: Items, task: Task) -> Comparisons:
         tests = _select(arm, "test")
         original = find_reference(arm[0], arm) if _select(arm, "reference") else None
         felt = [original, *tests] if original else tests
-        if task.protocol == "preference":
-            rounds = [(felt, _touch_first(arm[0], task))]
-        elif task.reference == EVERY:
+        rounds: list[tuple[list[Item], tuple[Part, ...]]]
+        if task.reference == EVERY:
             rounds = [
                 ([item for item in felt if item != one], (Part("reference", one.stimulus_id),))
                 for one in felt
             ]
         else:
-            found, part = _feel_reference(arm[0], arm, task)
-            rounds = [([item for item in tests if item != found], (part,))]
+            found, before = _feel_before(arm[0], arm, task)
+            others = [item for item in tests if item != found]
+            rounds = [(felt if task.protocol == "preference" else others, before)]
             original = found or original
         for stimuli, before in rounds:
-            comparisons += _pair_up(stimuli, task, before=before)
+            if len(stimuli) < FEWEST:
+                raise ValueError(
+                    f"a {task.protocol} must have at least two stimuli of a recording and level to choose from, got "
+                    f"{len(stimuli)}; build a set of more reducers"
+                )
+            # Each recording and arm has pairs of its own, the same for every participant.
+            about = next((p.stimulus_id or SURFACE for p in before if p.name == "reference"), None)
+            key = f"{stimuli[-1].recording} {stimuli[-1].level} {about}"
+            for pair in choose_pairs(len(stimuli), task.pairs, key=key):
+                one, other = (stimuli[place].stimulus_id for place in pair)
+                comparisons.append(_pose(FIRST, *before, Part(FIRST, one), Part(SECOND, other)))
         for place, anchor in enumerate(_select(arm, "anchor") if original else ()):
             certain = Part(FIRST, original.stimulus_id if original else None)
             parts = (*rounds[0][1], certain, Part(SECOND, anchor.stimulus_id))
             catch = _pose(FIRST, *parts, expected=RIGHT, catch="anchor")
             comparisons.append(arrange_pair(catch, place))
     return tuple(comparisons)
-
-
-def _pair_up(stimuli: Items, task: Task, *, before: tuple[Part, ...]) -> Iterator[Comparison]:
-    if len(stimuli) < FEWEST:
-        raise ValueError(
-            f"a {task.protocol} must have at least two stimuli of a recording and level to choose from, got "
-            f"{len(stimuli)}; build a set of more reducers"
-        )
-    # Each recording and arm has pairs of its own, the same for every participant.
-    about = next((p.stimulus_id or SURFACE for p in before if p.name == "reference"), None)
-    key = f"{stimuli[-1].recording} {stimuli[-1].level} {about}"
-    for one, other in choose_pairs(len(stimuli), task.pairs, key=key):
-        pair = (Part(FIRST, stimuli[one].stimulus_id), Part(SECOND, stimuli[other].stimulus_id))
-        yield _pose(FIRST, *before, *pair)
 
 
 def choose_pairs(n: int, count: int | None, *, key: str) -> tuple[tuple[int, int], ...]:
@@ -372,21 +344,35 @@ class Protocol:
 
 
 _FELT, _ANY = (ORIGINAL, "reducer"), (ORIGINAL, SURFACE, "reducer")
-_CHOICE = Protocol("preference", compare_choices, arrange=arrange_pair, some_pairs=True)
-_CHOICE = replace(_CHOICE, score=score_choice, choices=CHOICES)
-_ABX = replace(_CHOICE, name="abx", references=_FELT, arrange=arrange_abx, some_pairs=False)
+_RATING = Protocol("realism", compare_singly)
+_CHOICE = Protocol(
+    "preference",
+    compare_choices,
+    arrange=arrange_pair,
+    score=score_choice,
+    choices=CHOICES,
+    some_pairs=True,
+)
 _ALL = (
-    Protocol("realism", compare_realism),
-    Protocol("similarity", compare_similarity, references=_ANY, sure_end=HIGHEST),
+    _RATING,
+    replace(_RATING, name="similarity", references=_ANY, sure_end=HIGHEST),
     Protocol(
         "dissimilarity",
         compare_dissimilarity,
         references=(ORIGINAL,),
-        teach=teach_dissimilarity,
+        teach=partial(compare_dissimilarity, teach=True),
         arrange=arrange_pair,
     ),
     Protocol("mushra", compare_mushra, (FREE,), _FELT, arrange=arrange_mushra, sure_end=HIGHEST),
-    replace(_ABX, compare=compare_abx, teach=teach_abx),
+    Protocol(
+        "abx",
+        compare_abx,
+        references=_FELT,
+        teach=partial(compare_abx, teach=True),
+        arrange=arrange_abx,
+        score=score_choice,
+        choices=CHOICES,
+    ),
     replace(_CHOICE, name="triplet", references=(*_ANY, EVERY)),
     _CHOICE,
 )
@@ -420,44 +406,11 @@ def make_task(  # noqa: PLR0913 - the options that a task has
     answer_timeout_s: float | None = None,
     onset_s: float | None = None,
 ) -> Task:
-    """Make a task of a protocol.
+    """Make a task of a protocol, or refuse options that it does not have.
 
-    Parameters
-    ----------
-    name : str
-        Name in `PROTOCOLS`.
-    timing : str or None
-        One of the protocol's timings; None for its first.
-    reference : str or None
-        The reference: `original`, `surface`, the name of a reducer, or, of triplets, `every` stimulus in turn; None
-        for the protocol's first.
-    surface : bool
-        Whether the real surface is felt first.
-    training, practice : int
-        Number of trials with feedback, and of trials without feedback that do not count, before the first that does.
-    pairs : int or None
-        Number of pairs of each recording and level in a triplet or preference task, at least 1; None for all.
-    scales : sequence of str
-        The scales of each trial, the protocol's own among them; empty for that alone.
-    gap_s, answer_timeout_s, onset_s : float or None
-        Silence before each part, time for an answer, and time from the onset of a trial to that of the next, in s; None
-        for the session's silence, and for no limits.
-
-    Returns
-    -------
-    Task
-        The task.
-
-    Raises
-    ------
-    ValueError
-        If there is no such protocol, or it does not have an option.
-
-    Examples
-    --------
-    >>> from feel321 import protocols
-    >>> protocols.make_task("similarity", reference="dft321").timing
-    'replay'
+    None: the protocol's first timing or reference, all pairs, the session's own silence, no limit of time. training,
+    practice: numbers of trials, with feedback and without, before the first that counts. pairs: of each recording and
+    level. gap_s: silence before each part. onset_s: from the onset of a trial to that of the next.
     """
     protocol = PROTOCOLS[check_name(name, PROTOCOLS, "protocol")]
     timing = protocol.timings[0] if timing is None else timing
@@ -466,63 +419,58 @@ def make_task(  # noqa: PLR0913 - the options that a task has
     asked = () if [*scales] == [name] else tuple(scales)
     options = (surface, training, practice, pairs, asked, gap_s, answer_timeout_s, onset_s)
     task = Task(name, timing, given, *options)
-    faults = chain(
-        _find_reference_faults(protocol, reference),
-        _find_option_faults(task, protocol),
-        _find_pace_faults(task),
-        _find_scale_faults(task) if asked else (),
-    )
-    if fault := next(faults, ""):
+    faults = _list_faults(task, reference)
+    if fault := next((words for words, is_so in faults.items() if is_so), ""):
         raise ValueError(f"tasks.{name}.{fault}")
     return task
 
 
-def _find_reference_faults(protocol: Protocol, reference: str | None) -> Iterator[str]:
-    able = protocol.references
+def _list_faults(task: Task, reference: str | None) -> dict[str, bool]:
+    """List what could be wrong with the options of a task, and whether it is."""
+    own, able, scales = task.protocol, PROTOCOLS[task.protocol].references, task.scales
     kind = reference if reference in {ORIGINAL, SURFACE, EVERY, ""} else "reducer"
-    if reference is not None and not able:
-        yield f"reference must not be set, got {reference!r}: nothing is compared with a reference here; leave it out"
-    elif reference is not None and kind not in able:
-        allowed = ", ".join(able).replace("reducer", "the name of a reducer")
-        yield f"reference must be one of {allowed}; got {reference!r}"
-
-
-def _find_option_faults(task: Task, protocol: Protocol) -> Iterator[str]:
-    if task.surface and protocol.references:
-        instead = f", or set reference = {SURFACE!r}" if SURFACE in protocol.references else ""
-        yield f"surface must be false, got true: nothing is judged by itself here; leave it out{instead}"
-    if task.pairs is not None and not protocol.some_pairs:
-        having = " and ".join(name for name, other in PROTOCOLS.items() if other.some_pairs)
-        yield f"pairs must not be set, got {task.pairs}: only {having} have it; leave it out"
+    references = ", ".join(able).replace("reducer", "the name of a reducer")
+    instead = f", or set reference = {SURFACE!r}" if SURFACE in able else ""
+    having = [name for name, one in PROTOCOLS.items() if one.some_pairs]
+    alone, is_given = "nothing is judged by itself here; leave it out", reference is not None
+    none, free = "nothing is compared with a reference here", "parts are felt at will"
+    faults = {
+        f"reference must not be set, got {reference!r}: {none}; leave it out": is_given
+        and not able,
+        f"reference must be one of {references}; got {reference!r}": is_given and kind not in able,
+        f"surface must be false, got true: {alone}{instead}": task.surface and bool(able),
+        f"pairs must not be set, got {task.pairs}: only {' and '.join(having)} have it; leave it out": (
+            task.pairs is not None and own not in having
+        ),
+    }
     for key, least in {"training": 0, "practice": 0, "pairs": 1}.items():
         count = getattr(task, key)
-        if count is not None and count < least:
-            yield f"{key} must be a whole number from {least}, got {count}"
-
-
-def _find_pace_faults(task: Task) -> Iterator[str]:
+        too_few = count is not None and count < least
+        faults[f"{key} must be a whole number from {least}, got {count}"] = too_few
     for key, (low, high) in TIMES.items():
-        value = getattr(task, key)
-        if value is not None and not low <= value <= high:
-            yield f"{key} must be {low:g} to {high:g}, got {value:g}"
-        if value is not None and task.timing == FREE:
-            yield f"{key} must not be set: parts are felt at will, in the participant's own time; leave it out"
-    if task.onset_s is not None and (task.surface or task.reference == SURFACE):
-        yield "onset_s must not be set where the real surface is touched, which takes its own time; leave it out"
-
-
-def _find_scale_faults(task: Task) -> Iterator[str]:
-    own, scales, got = task.protocol, task.scales, f"got {list(task.scales)}"
-    able = [name for name, one in PROTOCOLS.items() if not one.choices and FREE not in one.timings]
-    if own not in able:
-        yield f"scales must be left out, {got}: several scales are for tasks with one slider ({', '.join(able)})"
-    if own not in scales:
-        yield f"scales must hold {own!r}, the protocol's own, {got}; add it"
-    if len(set(scales)) < len(scales) or len(scales) > MOST_SCALES:
-        yield f"scales must be at most {MOST_SCALES} names, each once, {got}; ask on fewer scales"
+        if (value := getattr(task, key)) is not None:
+            faults[f"{key} must be {low:g} to {high:g}, got {value:g}"] = not low <= value <= high
+            words = f"{key} must not be set: {free}, in the participant's own time; leave it out"
+            faults[words] = task.timing == FREE
+    own_time = "the real surface is touched, which takes its own time; leave it out"
+    touches = task.surface or task.reference == SURFACE
+    faults[f"onset_s must not be set where {own_time}"] = touches and task.onset_s is not None
+    if not scales:
+        return faults
+    got = f"got {list(scales)}"
+    sliders = [n for n, one in PROTOCOLS.items() if not one.choices and FREE not in one.timings]
     others = {name for name, one in PROTOCOLS.items() if not one.sha256} | {THRESHOLD, MATCHING}
-    if foreign := ", ".join(map(repr, sorted(others.intersection(scales) - {own}))):
-        yield f"scales must not hold the scale of another task, got {foreign}; name one of your own"
+    foreign = ", ".join(map(repr, sorted(others.intersection(scales) - {own})))
+    too_many = len(set(scales)) < len(scales) or len(scales) > MOST_SCALES
+    suited = f"several scales are for tasks with one slider ({', '.join(sliders)})"
+    return faults | {
+        f"scales must be left out, {got}: {suited}": own not in sliders,
+        f"scales must hold {own!r}, the protocol's own, {got}; add it": own not in scales,
+        f"scales must be at most {MOST_SCALES} names, each once, {got}; ask on fewer scales": too_many,
+        f"scales must not hold the scale of another task, got {foreign}; name one of your own": bool(
+            foreign
+        ),
+    }
 
 
 # Answers.

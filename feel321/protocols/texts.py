@@ -37,15 +37,6 @@ MOST_GUESSES = 20  # unknown texts that are told what they may have meant, some 
 WORDS = {"question": "", "low_label": "", "high_label": ""}  # what a scale of a lab's own must have
 
 
-@dataclass(frozen=True, slots=True)
-class PageText:
-    """Headline and text of a page; `{answered}` and `{total}` stand for numbers of trials."""
-
-    key: str
-    title: str
-    text: str
-
-
 def list_languages() -> tuple[str, ...]:
     """List the language codes of the catalogue."""
     return tuple(sorted(entry.name.removesuffix(".toml") for entry in CATALOG.iterdir()))

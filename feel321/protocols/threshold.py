@@ -35,18 +35,11 @@ if TYPE_CHECKING:
     from feel321.types import Samples
 
 GUESS = 0.5  # share of correct answers without any vibration
-SLOPES = (
-    1.0,
-    8.0,
-    16,
-)  # Weibull slopes thought possible: lowest, highest, number, in equal steps of the logarithm
+SLOPES = (1.0, 8.0, 16)  # Weibull slopes thought possible: from, to, how many, in geometric steps
 MARGIN_DB = 6.0  # how far beyond the rig's levels a threshold is thought possible, so that one at a limit shows
-THRESHOLD_STEP_DB, LEVEL_STEP_DB = (
-    0.5,
-    1.0,
-)  # of thresholds thought possible, and of levels presented
+THRESHOLD_STEP_DB, LEVEL_STEP_DB = 0.5, 1.0  # of thresholds thought possible; of levels presented
 DESCENT = (
-    2  # correct answers in a row down until the first wrong one: one would dive on lucky guesses
+    2  # correct answers in a row down until the first wrong one: 1 would dive on lucky guesses
 )
 MOST_DB = 200  # widest range of levels
 UNLIKELY = 0.05  # probability under guessing below which answers are remarked on
@@ -54,22 +47,17 @@ UNLIKELY = 0.05  # probability under guessing below which answers are remarked o
 
 @dataclass(frozen=True, slots=True)
 class ThresholdPlan:
-    """Settings of a threshold measurement.
-
-    One silent catch trial comes within every `catch_every` of them (0: none). n_down: correct answers in a row before a
-    staircase goes down. steps_db: the next one after each reversal, the last one until the end. lapse: assumed share of
-    wrong answers to the strongest vibration. seed: of intervals and catch trials.
-    """
+    """Settings of a threshold measurement."""
 
     lowest_db: float
     highest_db: float
     start_db: float
     trials: int = 60
-    catch_every: int = 10
-    n_down: int = 3
-    steps_db: tuple[float, ...] = (8.0, 4.0, 2.0)
-    lapse: float = 0.04
-    seed: int = 0
+    catch_every: int = 10  # trials within which one silent catch trial comes; 0: none
+    n_down: int = 3  # correct answers in a row before a staircase goes down
+    steps_db: tuple[float, ...] = (8.0, 4.0, 2.0)  # the next one after each reversal
+    lapse: float = 0.04  # assumed share of wrong answers to the strongest vibration
+    seed: int = 0  # of intervals and catch trials
 
     def __post_init__(self) -> None:
         """Refuse levels out of order; the settings check the numbers of trials, and nobody sets the rest."""
@@ -173,10 +161,14 @@ class Procedure:
         if not self.left:
             return None
         interval, silent = self._order[len(self.answers)]
-        if silent:
-            return Presentation(interval, None)
-        level_db = self._level if self.is_staircase else _choose_level(self.plan, self.weights)
-        return Presentation(interval, level_db)
+        if silent or self.is_staircase:
+            return Presentation(interval, None if silent else self._level)
+        # The level with the greatest mutual information of answer and parameters, h(E[P]) - E[h(P)]: the expected
+        # loss of entropy; rounded, so that another processor's last bit changes nothing.
+        levels, chances, entropies = _make_tables(replace(self.plan, seed=0))
+        weights = self.weights.ravel()
+        gained = _binary_entropy(chances @ weights) - entropies @ weights
+        return Presentation(interval, float(levels[gained.round(9).argmax()]))
 
     def update(self, answer: int) -> None:
         """Take the answered interval, 1 or 2, of the trial that `next` gives."""
@@ -206,16 +198,6 @@ class Procedure:
         step = plan.steps_db[min(len(self.reversals), len(plan.steps_db) - 1)]
         self._level = min(max(level_db + direction * step, plan.lowest_db), plan.highest_db)
         self._direction = direction
-
-
-def _choose_level(plan: ThresholdPlan, weights: Samples) -> float:
-    """Choose the level with the greatest mutual information of answer and parameters, h(E[P]) - E[h(P)].
-
-    It is the expected loss of entropy; rounded, so that another processor's last bit changes nothing.
-    """
-    levels, chances, entropies = _make_tables(replace(plan, seed=0))
-    gained = _binary_entropy(chances @ weights.ravel()) - entropies @ weights.ravel()
-    return float(levels[gained.round(9).argmax()])
 
 
 def estimate_threshold(procedure: Procedure) -> ThresholdEstimate:
@@ -264,7 +246,7 @@ def _make_grid(plan: ThresholdPlan) -> tuple[Samples, Samples]:
 
 @lru_cache(maxsize=8)
 def _make_tables(plan: ThresholdPlan) -> tuple[Samples, Samples, Samples]:
-    """Make the levels to choose from, shape (k,), and chances and entropies of an answer at them, shape (k, n m)."""
+    """Make the levels to choose from, (k,), and chances and entropies of an answer at them, (k, n m)."""
     import numpy as np
 
     count = round((plan.highest_db - plan.lowest_db) / LEVEL_STEP_DB) + 1
@@ -361,15 +343,14 @@ class Detection:
 
     def present(self, trial: Trial) -> Presentation:
         """Return what a trial presents if it comes now."""
-        if trial.phase == THRESHOLD:
-            following = self._procedures[self.find_frequency(trial)].next()
-            if following is None:
-                raise ValueError(f"all trials of {trial.recording} are answered, got one more")
-            return following
-        import numpy as np
+        if trial.phase != THRESHOLD:
+            import numpy as np
 
-        rng = np.random.default_rng([self.block.seeds[0], trial.number])
-        return Presentation(int(rng.integers(1, 3)), self.block.plan.start_db)
+            rng = np.random.default_rng([self.block.seeds[0], trial.number])
+            return Presentation(int(rng.integers(1, 3)), self.block.plan.start_db)
+        if (following := self._procedures[self.find_frequency(trial)].next()) is None:
+            raise ValueError(f"all trials of {trial.recording} are answered, got one more")
+        return following
 
     def tell(self, trial: Trial, values: Mapping[str, float | str]) -> None:
         """Take an answer that counts; that of practice changes nothing."""

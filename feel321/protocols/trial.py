@@ -22,13 +22,10 @@ TIMINGS = (
     "strict",
     "replay",
     FREE,
-)  # parts are felt once in order; then again at will; at will from the start
+)  # felt once in order; then again at will; at will from the start
 SURFACE = "surface"  # stands for the id of a stimulus where the real surface is felt
 ORIGINAL = "original"  # name of the recording itself as a reference
-MATCHING, THRESHOLD = (
-    "matching",
-    "threshold",
-)  # protocol, scale and phase of the trials of these blocks
+MATCHING, THRESHOLD = "matching", "threshold"  # protocol, scale and phase of these blocks' trials
 
 DEVICE_FLAGS = ("underrun", "clipped", "device_error", "not_delivered")
 FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")  # what can be wrong with an attempt at a trial
@@ -43,10 +40,7 @@ ASIDE = ("ready", "call_us", "timed_out")
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The scale of an answer: a slider, perhaps with words (anchors) along it, or a choice between parts.
-
-    further: the other scales of a trial that asks for several.
-    """
+    """The scale of an answer: a slider, perhaps with words (anchors) along it, or a choice between parts."""
 
     name: str
     question: str
@@ -54,7 +48,7 @@ class Scale:
     high_label: str
     anchors: tuple[str, ...] = ()
     choices: tuple[str, ...] = ()
-    further: tuple[Scale, ...] = ()
+    further: tuple[Scale, ...] = ()  # of a trial that asks on several
 
     def find(self, name: str) -> Scale:
         """Find the scale of a judgement: one of the others of its trial, or this one."""
@@ -103,17 +97,13 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """One answer that a trial asks for; it becomes one row of `ratings.csv`.
-
-    reference_id: a stimulus, `surface`, or None where the judgement is absolute. expected: lowest and highest rating of
-    who has understood the task; None where any will do. scale: where it is not that of the trial.
-    """
+    """One answer that a trial asks for; it becomes one row of `ratings.csv`."""
 
     part: str
     stimulus_id: str
-    reference_id: str | None = None
-    expected: tuple[float, float] | None = None
-    scale: str = ""
+    reference_id: str | None = None  # or `surface`; None where the judgement is absolute
+    expected: tuple[float, float] | None = None  # ratings of who has understood; None for any
+    scale: str = ""  # where it is not that of the trial
 
     @property
     def key(self) -> str:
@@ -123,35 +113,27 @@ class Judgement:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Parts that are felt and judged together, before they have a place in a session.
-
-    catch: `identical`, `hidden_reference` or `anchor` where the right answer is known; else empty.
-    """
+    """Parts that are felt and judged together, before they have a place in a session."""
 
     parts: tuple[Part, ...]
     judgements: tuple[Judgement, ...]
-    catch: str = ""
+    catch: str = ""  # `identical`, `hidden_reference` or `anchor`, where the right answer is known
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One comparison at its place in the session of one participant.
+    """One comparison at its place in the session of one participant."""
 
-    number: from 1, the main phase first. block: from 1; 0 in training and practice. repeat: round of this comparison
-    within its protocol, from 1; 0 outside the main phase. parts: in order; each must be felt to its end before an
-    answer is taken. phase: `training`, `practice`, `threshold`, `matching` or `main`, whose trials become ratings.
-    """
-
-    number: int
-    block: int
-    repeat: int
+    number: int  # from 1, the main phase first
+    block: int  # from 1; 0 in training and practice
+    repeat: int  # of this comparison within its protocol, from 1; 0 outside the main phase
     protocol: str
     scale: str
     timing: str
     recording: str
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  # in order; each must be felt to its end before an answer is taken
     judgements: tuple[Judgement, ...]
-    phase: str = "main"
+    phase: str = "main"  # whose trials become ratings; `training`, `practice`, or that of a block
     catch: str = ""
 
     @property
@@ -249,8 +231,8 @@ def select_items(items: Sequence[Item], groups: Mapping[str, str]) -> tuple[Item
         return tuple(items)
     own = [item for item in items if item.level == level]
     served = {item.recording for item in own if item.role == "reference"}
-    shared = [item for item in items if item.role == "reference" and item.recording not in served]
-    return tuple(own + shared)
+    shared = (item for item in items if item.role == "reference" and item.recording not in served)
+    return (*own, *shared)
 
 
 def select_group(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
@@ -182,7 +182,7 @@ def open_lab(
         output.lead_s = room.certificate.lead_s if room.certificate else 0.0
         screen = open_screen(clock=clock, windowed=room.windowed, screen=room.screen)
         window = stack.enter_context(screen)
-        hand = _open_hand(plan, stimuli, room=room, stack=stack)
+        hand = _seat_hand(plan, stimuli, room=room, clock=clock)
         own = {} if keys == USUAL else {"keys": keys.model_dump(mode="json")}
         if room.lsl:
             stack.enter_context(open_outlet(journal, clock))
@@ -233,15 +233,14 @@ def _make_check(room: Room) -> DeliveryCheck | None:
     )
 
 
-def _open_hand(
-    plan: Plan, stimuli: Mapping[str, Stimulus], *, room: Room, stack: ExitStack
+def _seat_hand(
+    plan: Plan, stimuli: Mapping[str, Stimulus], *, room: Room, clock: Callable[[], float]
 ) -> Hand | None:
     """Seat a simulated participant."""
     if (casting := room.casting) is None:
         return None
-    from feel321.study.screen.robot import PressingHand, XKeyboard
+    from feel321.study.screen.robot import PressingHand
 
     person = find_person(plan.participant)
     mind = Participant(casting.model, seed=casting.seed, number=person)
-    keyboard, keys = stack.enter_context(closing(XKeyboard())), _get_rig(room).keys
-    return PressingHand(mind, keyboard, stimuli=stimuli, clock=perf_counter, keys=keys)
+    return PressingHand(mind, stimuli=stimuli, clock=clock, keys=_get_rig(room).keys)

@@ -5,16 +5,15 @@ the journals of real participants; before there are any, from the response times
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import exp
 from statistics import median
 
 from feel321.protocols.agenda import SECONDS, Agenda
-from feel321.protocols.texts import Question
 from feel321.protocols.threshold import name_tone
-from feel321.protocols.trial import VALID, Flow, Item, Page, Task, Trial
+from feel321.protocols.trial import VALID, Item, Page, Trial
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.folder import StudyFolder
 from feel321.study.session.engine import find_gap
@@ -27,6 +26,9 @@ UNHURRIED = (0.7, 0.4)
 
 STROKE_S = 3.0  # duration of a stroke over the real surface
 PAGE_S = 10.0  # for a page that may be left at once, until real participants have read some
+
+Durations = Mapping[str, float]
+"""Duration of the stimuli of each recording, in s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,81 +65,84 @@ class Length:
         return f"a session takes about {took} (at the pace of {who})"
 
 
-@dataclass(frozen=True, slots=True)
-class Sitting:
-    """A session as far as its length goes; durations: of the stimuli of each recording, in s."""
-
-    trials: Sequence[Trial]
-    flow: Flow
-    durations: Mapping[str, float]
-    questions: Sequence[Question] = ()
-    tasks: Mapping[str, Task] = field(default_factory=dict)
-
-    @classmethod
-    def plan(cls, course: Plan, flow: Flow, durations: Mapping[str, float]) -> "Sitting":
-        """Take trials from a plan, and the duration of tones from its threshold block, if it has one."""
-        tasks = {task.protocol: task for task in course.tasks}
-        if (block := course.threshold) is not None:
-            # Silence before a tone is the block's own.
-            tone_s = block.duration_s + block.gap_s - flow.gap_s
-            tones = {name_tone(frequency): tone_s for frequency in block.frequencies_hz}
-            durations = {**durations, **tones}
-        return cls(course.trials, flow, durations, course.questions, tasks)
-
-    def measure_felt(self, trial: Trial) -> float:
-        """Compute how long it takes to feel every part of a trial once, in s."""
-        gap_s = find_gap(trial, self.tasks.get(trial.protocol), self.flow)
-        stimulus_s = gap_s + self.durations.get(trial.recording, 0.0)
-        return sum(stimulus_s if part.stimulus_id else STROKE_S for part in trial.parts)
-
-    def count_down(
-        self, pace: Pace, *, agenda: Agenda | None = None, clock_s: float = 0.0
-    ) -> dict[int, float]:
-        """Work through what is still to be done; returns the time that is left in s, by the trials that are done.
-
-        Every answer is taken as a good one, and as expected where any is.
-        """
-        agenda = agenda or Agenda(self.trials, self.flow, self.questions)
-        reached: dict[int, float] = {}
-        while (step := agenda.ask()) is not None:
-            reached.setdefault(agenda.done, clock_s)
-            if isinstance(step, Page):
-                clock_s += step.least_s + pace.page_s
-                agenda.tell_page(step.key, time_s=clock_s)
-            else:
-                answer_s = pace.answer_s.get(step.protocol, pace.other_s) * len(step.judgements)
-                task = self.tasks.get(step.protocol)
-                least_s = (task.onset_s or 0.0) if task else 0.0
-                clock_s += max(self.measure_felt(step) + answer_s, least_s)
-                is_known = any(judgement.expected for judgement in step.judgements)
-                agenda.tell_trial(step.number, VALID, as_expected=is_known or None, time_s=clock_s)
-        reached.setdefault(agenda.done, clock_s)
-        return {done: clock_s - time_s for done, time_s in reached.items()}
-
-
-def measure_length(sittings: Iterable[Sitting], pace: Pace) -> Length:
-    """Measure how long whole sessions take, at least one."""
-    whole = [(sitting.count_down(pace)[0] / SECONDS, sitting.trials) for sitting in sittings]
-    low, high = (end(minutes for minutes, _ in whole) for end in (min, max))
-    most = max(sum(trial.phase == "main" for trial in trials) for _, trials in whole)
-    return Length(low, high, most, pace.participants)
-
-
-def measure_design(
-    design: Design, items: Sequence[Item], *, durations: Mapping[str, float], groups: int
-) -> Length:
-    """Measure how long the sessions of a design take, in each of so many groups."""
-    courses = (make_trials(design, items, number=number) for number in range(1, groups + 1))
-    sittings = [Sitting.plan(course, design.flow, durations) for course in courses]
-    return measure_length(sittings, Pace())
-
-
 def find_durations(stimuli: StimulusSet) -> dict[str, float]:
     """Find the duration of the stimuli of each recording, in s."""
     return {row.recording: row.duration_s for row in stimuli.stimuli}
 
 
-def observe_pace(dossiers: Iterable[Dossier], durations: Mapping[str, float]) -> Pace:
+def time_trials(plan: Plan, durations: Durations) -> Callable[[Trial], float]:
+    """Make the function that computes how long it takes to feel every part of a trial once, in s."""
+    tasks, known = {task.protocol: task for task in plan.tasks}, dict(durations)
+    if (block := plan.threshold) is not None:
+        # Silence before a tone is the block's own.
+        tone_s = block.duration_s + block.gap_s - plan.flow.gap_s
+        known |= {name_tone(frequency): tone_s for frequency in block.frequencies_hz}
+
+    def measure_felt(trial: Trial) -> float:
+        gap_s = find_gap(trial, tasks.get(trial.protocol), plan.flow)
+        stimulus_s = gap_s + known.get(trial.recording, 0.0)
+        return sum(stimulus_s if part.stimulus_id else STROKE_S for part in trial.parts)
+
+    return measure_felt
+
+
+def count_down(
+    plan: Plan,
+    durations: Durations,
+    pace: Pace,
+    *,
+    agenda: Agenda | None = None,
+    clock_s: float = 0.0,
+) -> dict[int, float]:
+    """Work through what is still to be done of a session; gives the time left in s, by the trials that are done.
+
+    Every answer is taken as a good one, and as expected where any is.
+    """
+    agenda = agenda or Agenda(plan.trials, plan.flow, plan.questions)
+    tasks, measure_felt = {task.protocol: task for task in plan.tasks}, time_trials(plan, durations)
+    reached: dict[int, float] = {}
+    while (step := agenda.ask()) is not None:
+        reached.setdefault(agenda.done, clock_s)
+        if isinstance(step, Page):
+            clock_s += step.least_s + pace.page_s
+            agenda.tell_page(step.key, time_s=clock_s)
+        else:
+            answer_s = pace.answer_s.get(step.protocol, pace.other_s) * len(step.judgements)
+            task = tasks.get(step.protocol)
+            least_s = (task.onset_s or 0.0) if task else 0.0
+            clock_s += max(measure_felt(step) + answer_s, least_s)
+            is_known = any(judgement.expected for judgement in step.judgements)
+            agenda.tell_trial(step.number, VALID, as_expected=is_known or None, time_s=clock_s)
+    reached.setdefault(agenda.done, clock_s)
+    return {done: clock_s - time_s for done, time_s in reached.items()}
+
+
+def measure_length(plans: Iterable[Plan], durations: Durations, pace: Pace) -> Length:
+    """Measure how long whole sessions take, at least one."""
+    whole = [(count_down(plan, durations, pace)[0] / SECONDS, plan.trials) for plan in plans]
+    minutes = [taken for taken, _ in whole]
+    most = max(sum(trial.phase == "main" for trial in trials) for _, trials in whole)
+    return Length(min(minutes), max(minutes), most, pace.participants)
+
+
+def measure_design(
+    design: Design, items: Sequence[Item], *, durations: Durations, groups: int
+) -> Length:
+    """Measure how long the sessions of a design take, in each of so many groups."""
+    plans = (make_trials(design, items, number=number) for number in range(1, groups + 1))
+    return measure_length(plans, durations, Pace())
+
+
+def find_left(
+    plan: Plan, records: Records, *, durations: Durations, pace: Pace
+) -> dict[int, float]:
+    """Compute the time that is left of a session as its journal leaves it, in s, by the trials that are done."""
+    own = SIMULATED if plan.simulated else pace
+    agenda, clock_s = replay(plan, records), records.find_elapsed()
+    return count_down(plan, durations, own, agenda=agenda, clock_s=clock_s)
+
+
+def observe_pace(dossiers: Iterable[Dossier], durations: Durations) -> Pace:
     """Measure the pace of a study's real participants; that of simulated ones where there are none yet."""
     spent: dict[str, list[float]] = defaultdict(list)
     pages: list[float] = []
@@ -150,8 +155,17 @@ def observe_pace(dossiers: Iterable[Dossier], durations: Mapping[str, float]) ->
         least_s = {"break": plan.flow.break_s, "rest": plan.flow.rest_s}
         pages += [max(0.0, p.stood_s - least_s.get(p.key, 0.0)) for p in records.find(PageRead)]
         pages += [answered.stood_s for answered in records.find(QuestionAnswered)]
-        for trial, took_s in _list_answers(plan, records, durations):
-            spent[trial.protocol] += [took_s / len(trial.judgements)] * len(trial.judgements)
+        # The time of the main trials beyond feeling every part once.
+        trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
+        measure_felt, last_s, shown_s = time_trials(plan, durations), 0.0, 0.0
+        for record in records:
+            if record.event == TrialShown.event:
+                shown_s = last_s
+            last_s = record.data.get("time_s", last_s)
+            if record.event == TrialRated.event and record.data["trial"] in trials:
+                trial = trials[record.data["trial"]]
+                took_s, n = max(0.0, last_s - shown_s - measure_felt(trial)), len(trial.judgements)
+                spent[trial.protocol] += [took_s / n] * n
     every = [took_s for own in spent.values() for took_s in own]
     if not every:  # nobody has come to the trials that count yet
         return Pace()
@@ -161,32 +175,6 @@ def observe_pace(dossiers: Iterable[Dossier], durations: Mapping[str, float]) ->
         page_s=median(pages) if pages else PAGE_S,
         participants=participants,
     )
-
-
-def _list_answers(
-    plan: Plan, records: Records, durations: Mapping[str, float]
-) -> Iterator[tuple[Trial, float]]:
-    """List the rated trials of the main phase, each with its time beyond feeling every part once."""
-    trials = {trial.number: trial for trial in plan.trials if trial.phase == "main"}
-    sitting = Sitting.plan(plan, plan.flow, durations)
-    last_s = shown_s = 0.0
-    for record in records:
-        if record.event == TrialShown.event:
-            shown_s = last_s
-        last_s = record.data.get("time_s", last_s)
-        if record.event == TrialRated.event and record.data["trial"] in trials:
-            trial = trials[record.data["trial"]]
-            yield trial, max(0.0, last_s - shown_s - sitting.measure_felt(trial))
-
-
-def find_left(
-    plan: Plan, records: Records, *, durations: Mapping[str, float], pace: Pace
-) -> dict[int, float]:
-    """Compute the time that is left of a session as its journal leaves it, in s, by the trials that are done."""
-    sitting = Sitting.plan(plan, plan.flow, durations)
-    own = SIMULATED if plan.simulated else pace
-    clock_s = records.find_elapsed()
-    return sitting.count_down(own, agenda=replay(plan, records), clock_s=clock_s)
 
 
 def read_pace(study: StudyFolder, stimuli: StimulusSet) -> Pace:

@@ -206,8 +206,8 @@ def read_status(
         durations = minutes.find_durations(read_stimuli(study.stimuli))
         pace = minutes.observe_pace(dossiers, durations)
         entries |= add_minutes(entries, known, durations=durations, pace=pace)
-        sittings = [minutes.Sitting.plan(one.plan, one.plan.flow, durations) for one in dossiers]
-        length = minutes.measure_length(sittings, pace) if sittings else None
+        plans = [one.plan for one in dossiers]
+        length = minutes.measure_length(plans, durations, pace) if plans else None
     frozen = "" if study.is_rehearsal else describe_frozen(study)
     balance = measure_realised((dossier, trials) for dossier, _, trials in known.values())
     return Status(tuple(entries.values()), balance, length, frozen)

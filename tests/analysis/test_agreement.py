@@ -72,6 +72,14 @@ def test_equal_ratings_have_no_alpha(level: str) -> None:
     assert math.isnan(krippendorff_alpha(table, level=level))
 
 
+def test_names_agree_as_numbers_do() -> None:
+    table = make_table(2)
+    names = [[None if np.isnan(one) else f"scene {one:.0f}" for one in row] for row in table]
+    assert krippendorff_alpha(names, level="nominal") == krippendorff_alpha(table, level="nominal")
+    with pytest.raises(ValueError, match="table must hold numbers: could not convert string"):
+        krippendorff_alpha(names, level="ordinal")
+
+
 def test_a_slider_of_many_values_needs_little_memory() -> None:
     # targets x values x values, as the textbook table has it, would be 500 x 20 000 x 20 000 cells.
     rng = np.random.default_rng(0)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import list_changes
-from feel321.analysis.report.answer import list_clauses, make_cards, reconcile
+from feel321.analysis.report.answer import list_clauses, make_cards
 from feel321.analysis.report.raters import conclude_panels
 from feel321.analysis.report.section import Found, make_row
 
@@ -168,34 +168,3 @@ def test_verdicts_without_flagged_raters_are_adjusted_as_the_primary_ones(
     ]  # fmt: skip
     metrics = {row["metric"] for row in list_changes(conclude_panels(rows))}
     assert metrics == ({"spectral_match", "temporal_match"} if changes else set())
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "verdict", "direction", "against"),
-    [
-        (0.4, 0.9, "open", "", True), (0.4, 0.9, "predicts", "higher", False), (0.4, 0.9, "predicts", "lower", True),
-        (-0.1, 0.9, "predicts", "higher", True), (-0.1, 0.9, "open", "", False),
-        (math.nan, math.nan, "predicts", "", False),
-        (0.4, 0.9, "not_estimable", "", False),
-    ],
-)  # fmt: skip
-def test_pooled_correlations_that_disagree_with_the_verdict_are_marked(
-    low: float, high: float, verdict: str, direction: str, *, against: bool
-) -> None:
-    place = {"scale": "realism", "level": "as_is"}
-    one = {
-        "metric": "spectral_match",
-        "r": {"value": 0.7, "low": low, "high": high},
-        "covers": low <= 0 <= high,
-        "ranks": None,
-    }
-    panel = {
-        **place, "found": [one], "differences": [], "subject": "Realism", "n_items": 9, "ceiling": math.nan,
-    }  # fmt: skip
-    claim = {
-        **place, "metric": "spectral_match", "verdict": verdict, "direction": direction, "better_than": [],
-    }  # fmt: skip
-    reconcile([panel], [claim])
-    assert bool(panel["against"]) == against
-    lines = render_words("metrics", panels=[panel], map="", ranges=[])
-    assert any("That is another question" in line for line in lines) == against

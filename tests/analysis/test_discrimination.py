@@ -3,11 +3,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pandas as pd
 import pytest
 from scipy.stats import beta, binom, norm
 
-from feel321.analysis.contrasts.told_apart import abx_d_prime, discriminate, discriminate_pairs
+from feel321.analysis.contrasts.told_apart import abx_d_prime, discriminate
 
 
 def simulate(d_prime: float, model: str, *, n: int = 200_000) -> float:
@@ -63,14 +62,3 @@ def test_the_intervals_cover(truth: float) -> None:
     results = [discriminate(k, 40) for k in range(41)]
     assert 0.92 < weights @ [r.wilson_low <= truth <= r.wilson_high for r in results] < 0.97
     assert 0.95 <= weights @ [r.exact_low <= truth <= r.exact_high for r in results] < 0.99
-
-
-def test_pairs_in_either_order_are_one() -> None:
-    trials = pd.DataFrame({"first": list("abab"), "second": list("baca"), "correct": [1, 0, 1, 1]})
-    trials.loc[3, "first"] = "c"
-    results = discriminate_pairs(trials)
-    assert {pair: (r.n_correct, r.n_trials) for pair, r in results.items()} == {
-        ("a", "b"): (1, 2),
-        ("a", "c"): (2, 2),
-        None: (3, 4),
-    }

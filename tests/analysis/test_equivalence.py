@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.analysis.contrasts.compare import equivalence, non_inferiority
+from feel321.analysis.contrasts.compare import equivalence
 
 
 def test_lakens_2017_example() -> None:
@@ -54,15 +54,3 @@ def test_at_the_margin_it_errs_in_five_percent() -> None:
         equivalence(m, s, 29, low=-2, high=2).equivalent for m, s in zip(means, errors, strict=True)
     ]
     assert 0.04 < np.mean(hits) < 0.06
-
-
-def test_non_inferiority_is_one_half_of_equivalence() -> None:
-    both = equivalence(-1.0, 0.7, 12, low=-3, high=3)
-    lower, upper = (
-        non_inferiority(-1.0, 0.7, 12, margin=-3),
-        non_inferiority(-1.0, 0.7, 12, margin=3),
-    )
-    assert (lower.t, lower.p, lower.bound) == pytest.approx((both.t_low, both.p_low, both.low90))
-    assert (upper.t, upper.p, upper.bound) == pytest.approx((both.t_high, both.p_high, both.high90))
-    assert non_inferiority(50.0, 0.7, 12, margin=-3).non_inferior
-    assert not non_inferiority(50.0, 0.7, 12, margin=3).non_inferior

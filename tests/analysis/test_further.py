@@ -10,9 +10,8 @@ import pytest
 from feel321.analysis.page import render_words
 from feel321.analysis.report import correlations, primary
 from feel321.analysis.report.section import find_row
-from feel321.analysis.report.write import SECTIONS
 from feel321.analysis.resampling import Choices
-from feel321.analysis.table.metrics import describe_further
+from feel321.analysis.table.metrics import FURTHER
 from feel321.analysis.table.reading import Further, read_table
 from feel321.names import MATCHES
 
@@ -62,8 +61,8 @@ def test_every_metric_may_be_told_in_four_more_ways() -> None:
         "spectral_match_bounded": [],  # bounded, and no orientation changes it
     }
     every = [[*(f"{metric}_{kind}" for kind in kinds), *own[metric]] for metric in MATCHES]
-    assert list(describe_further()) == list(chain(*every))
-    meanings = list(describe_further().values())
+    assert list(FURTHER) == list(chain(*every))
+    meanings = list(FURTHER.values())
     assert len(set(meanings)) == len(meanings)
 
 
@@ -76,9 +75,8 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
         ("spectral_match", "temporal_match"),
         (MEAN, INVARIANT),
     )
-    rows = correlations.compute_further(table, Choices(draws=200, seed=1)).rows[
-        "further_associations"
-    ]
+    section = correlations.compute(table, Choices(draws=200, seed=1))
+    rows = section.rows["further_associations"]
     for method in ("Pearson", "Spearman", "Pearson within recordings"):
         found, other = (
             find_row(rows, "r", metric=name, method=method) for name in (MEAN, INVARIANT)
@@ -86,10 +84,8 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
         assert found["value"] > 0.9
         assert found["low"] > 0.5
         assert other["high"] < found["low"]
-    (section,) = (one for one in SECTIONS if one.key == "further")
-    (form,) = section.tables.values()
-    assert form.caption.startswith("Exploratory")
-    assert not section.front
+    said = render_words("metrics", **section.facts)[-1]
+    assert said.startswith("2 further metrics explored: spectral match rotation mean, mean of")
 
 
 def test_declared_ones_are_in_the_model_and_each_points_its_way(small: object) -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers
 from feel321.analysis.figures import kinds, style
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.space import bootstrap_space
+from feel321.analysis.space import fit_space
 from feel321.analysis.table.metrics import order_reducers
 
 if TYPE_CHECKING:
@@ -95,11 +95,11 @@ def test_a_profile_has_the_best_on_top_and_anchors_below(tidy: Callable[..., pd.
 def test_a_map_needs_a_name_for_each_stimulus() -> None:
     rng = np.random.default_rng(0)
     half = np.triu(rng.uniform(0.1, 1, (6, 4, 4)), 1)
-    ellipses = bootstrap_space(half + half.transpose(0, 2, 1), draws=5, rng=rng)
-    (axes,) = kinds.draw_space(ellipses, ["a", "b", "c", "original"]).axes
+    space = fit_space(half + half.transpose(0, 2, 1), draws=5, rng=rng)
+    (axes,) = kinds.draw_space(space, ["a", "b", "c", "original"]).axes
     assert len(axes.patches) == 4
     with pytest.raises(ValueError, match="names must be one for each of 4 stimuli, got 3"):
-        kinds.draw_space(ellipses, ["a", "b", "c", "a"])
+        kinds.draw_space(space, ["a", "b", "c", "a"])
 
 
 def test_figures_are_saved_alike_and_are_as_wide_as_a_page(

@@ -11,8 +11,7 @@ import pandas as pd
 import pytest
 
 from feel321 import analysis
-from feel321.analysis import space, standard
-from feel321.analysis.contrasts import compare
+from feel321.analysis import space
 
 if TYPE_CHECKING:
     from feel321.records import Result
@@ -56,9 +55,7 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "dependent": analysis.compare_dependent(1.0, 0.2, 0.2, 20),
         "intraclass": analysis.intraclass(rows),
         "p1401": analysis.p1401(rows, "sm"),
-        "p1401_difference": standard.compare_p1401(*(analysis.p1401(rows, one) for one in METRICS)),
         "equivalence": analysis.equivalence(1, 1, 9, low=-3, high=3),
-        "non_inferiority": compare.non_inferiority(1, 1, 9, margin=-3),
         "discrimination": analysis.discriminate(24, 24),
         "bradley_terry": analysis.bradley_terry(
             pd.DataFrame({"winner": list("aabbcc"), "loser": list("bcacab")})
@@ -70,8 +67,8 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
 
 NAMES = [
     "primary", "primaries", "fit", "contrast", "screening", "association", "difference",
-    "reducers", "repeated", "dependent", "intraclass", "p1401", "p1401_difference", "equivalence",
-    "non_inferiority", "discrimination", "bradley_terry", "space", "alignment",
+    "reducers", "repeated", "dependent", "intraclass", "p1401", "equivalence",
+    "discrimination", "bradley_terry", "space", "alignment",
 ]  # fmt: skip
 
 

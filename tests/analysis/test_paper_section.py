@@ -9,7 +9,7 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis.report import write
-from feel321.analysis.report.paper import tabulate_metrics
+from feel321.analysis.report.answer import tabulate_metrics
 from feel321.analysis.report.section import find_row
 from feel321.analysis.table.reading import read_table
 from feel321.results import Paper, PaperClaim, Results

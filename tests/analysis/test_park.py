@@ -18,7 +18,7 @@ from feel321.analysis.replication import (
     answer_claims,
     explain_spread,
 )
-from feel321.analysis.report import paper as paper_section
+from feel321.analysis.report import answer as opening
 from feel321.analysis.report import primary
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Further, read_table
@@ -143,7 +143,7 @@ def test_the_first_sentence_names_a_planted_surprise() -> None:
     table, choices = make_table(bonus=45), Choices(draws=50)
     paper = Paper("Park & Kuchenbecker 2019", "10.1109/WHC.2019.8816148", "abstract", CLAIMS)
     found = {"primary": primary.compute(table, choices)}
-    first = say(paper_section.compute(table, choices, paper=paper, others=found))[1]
+    first = say(opening.compute_paper(table, choices, paper=paper, others=found))[1]
     assert "mag321 was rated 4" in first.lower()
     assert "points higher than the metrics predict from the other reducers" in first
     assert "the paper names it as an exception too" in first

@@ -298,10 +298,10 @@ def test_every_section_answers_a_question_and_has_its_english() -> None:
     names = [name for section in SECTIONS for name in section.tables]
     assert len(names) == len(set(names))
     assert all(
-        column.kind in {*PLACES, "note"}
+        quantity.kind in {*PLACES, "note"}
         for one in SECTIONS
         for form in one.tables.values()
-        for column in form.columns
+        for quantity in form.quantities
     )
 
 

@@ -66,7 +66,6 @@ def test_four_columns_from_elsewhere_are_enough(files: Callable[..., object]) ->
         "manifest.csv has nothing in a column 'temporal_match', so that metric is not reported.",
         "manifest.csv has nothing in a column 'level'",
         "manifest.csv has nothing in a column 'role'",
-        "Reducers unknown to feel321, analysed as named",
         "ratings.csv has nothing in a column 'trial' or 'repeat'",
     ]
 

@@ -13,7 +13,6 @@ from feel321.study.folder import StudyFolder, create_study
 from feel321.study.minutes import (
     SIMULATED,
     Pace,
-    Sitting,
     find_durations,
     find_left,
     measure_length,
@@ -69,7 +68,7 @@ def test_sessions_take_as_long_as_was_foreseen(tmp_path: Path) -> None:
     for participant in folder.participants:
         dossier = read_dossier(participant)
         took_s, plan = dossier.records.find_elapsed(), dossier.plan
-        own = measure_length([Sitting.plan(plan, plan.flow, durations)], SIMULATED)
+        own = measure_length([plan], durations, SIMULATED)
         assert own.low_min * 60 == pytest.approx(took_s, rel=TOLERANCE)
         ratios.append(own.low_min * 60 / took_s)
         half = dossier.records[: len(dossier.records) // 2]
@@ -95,7 +94,7 @@ def test_the_pace_of_real_people_is_learnt_from_their_journals(
     assert pace.answer_s == pytest.approx({"realism": 2 - 0.35, "similarity": 3 - 0.7})
     assert (pace.page_s, pace.participants) == (0.0, 1)  # the script says how long pages stood
     with_pages = replace(pace, page_s=1.0)
-    length = measure_length([Sitting.plan(plan, plan.flow, DURATIONS)], with_pages)
+    length = measure_length([plan], DURATIONS, with_pages)
     # The rest is one page whose shortest time counts too.
     assert length.low_min * 60 == pytest.approx(dossier.records.find_elapsed() + 1.0)
     # Somebody who has come no further than practice says nothing.

@@ -6,8 +6,7 @@ import pytest
 
 from feel321.analysis.page import render_words
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.report import paper as paper_section
-from feel321.analysis.report import primary
+from feel321.analysis.report import answer, primary
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further, read_table
@@ -68,7 +67,7 @@ def test_the_first_sentence_names_the_surprise_and_the_slopes_hold_their_plants(
         found = primary.compute(table, choices)
         paper = make_paper(read_settings(park[0].settings))
         assert paper is not None
-        section = paper_section.compute(table, choices, paper=paper, others={"primary": found})
+        section = answer.compute_paper(table, choices, paper=paper, others={"primary": found})
         first = render_words("paper", **section.facts)[1]
         named += (
             "mag321 was rated" in first.lower() and "the paper names it as an exception" in first

@@ -7,7 +7,7 @@ the wins of each; and, without an order of presentation, trials with the columns
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -33,22 +33,6 @@ EXTREME = 12.0  # A log odds of a pair beyond this is an estimate running away: 
 STEPS = 60
 CLOSE = 1e-9
 RIDGE, LOOSE = 1e-10, 1e-9
-
-
-class Duels(NamedTuple):
-    """Wins by pair: items, the first and the second of each row (n_rows,), and the wins of both (n_rows, 2)."""
-
-    items: tuple[str, ...]
-    first: Codes
-    second: Codes
-    wins: Values
-
-    def merge(self) -> Duels:
-        """Put rows of the same pair in the same order together."""
-        size = len(self.items)
-        both, row = np.unique(self.first * size + self.second, return_inverse=True)
-        wins = np.stack([np.bincount(row, self.wins[:, side]) for side in (0, 1)], axis=1)
-        return Duels(self.items, both // size, both % size, wins.astype(np.float64))
 
 
 def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its bootstrap
@@ -126,29 +110,27 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     sax321     -1.83  0.48
     """
     rater = "participant" if by_rater is True else str(by_rater or "")
-    people = None
+    people = _read_raters(pairs, rater, draws)
     if rater:
-        check_draws(draws, usual=1000)
-        check_columns(pairs, [rater], "trials")
-        people, raters = read_groups(pairs[rater], n=len(pairs), what="row", of=rater, sort=False)
-        if len(raters) < 2:  # noqa: PLR2004 - a spread needs two
-            raise ValueError("trials must be of two raters or more, got one; leave by_rater out")
         pairs, ties = pairs.drop(columns=rater), "half"
-    rows, kept, n_ties = _read_rows(pairs, ties=ties)
-    duels = rows.merge() if "winner" in pairs else rows
+    names, every, n_ties = _read_rows(pairs, ties=ties, ordered=order_effect)
     if not 0 <= prior < np.inf:
         raise ValueError(f"prior must be 0 or more, got {prior}; 0.5 is usual")
+    kept = every.sum(axis=1) > 0  # a pair that never met says nothing
+    if not kept.any():
+        raise ValueError("pairs must hold a comparison or more, got no win in any row")
+    items, codes = np.unique(names[kept], return_inverse=True)
     # Items are names, even where a table holds numbers.
-    base = check_name(str(reference or duels.items[0]), duels.items, "reference")
-    if order_effect and "loser" in pairs:
-        raise ValueError(
-            "order_effect needs pairs that say which was presented first; leave it out"
-        )
-    wins, place = duels.wins + prior, duels.items.index(base)
-    design, names = _build_design(duels, place, order_effect=order_effect)
-    (beta,), (curvature,), (is_astray,) = _fit_many(wins[None], design)
-    worst = names[int(np.abs(beta).argmax())]
+    base = check_name(str(reference or items[0]), items.tolist(), "reference")
+    codes, every = codes.reshape(-1, 2), every[kept]
+    duels, row = np.unique(codes, axis=0, return_inverse=True)
+    fitted, wins = codes, every
+    if "winner" in pairs:
+        fitted, wins = duels, _count_wins(0 * people[kept], row, every)[0]
+    design, terms = _build_design(fitted, items, base, order_effect=order_effect)
+    (beta,), (curvature,), (is_astray,) = _fit_many(wins[None] + prior, design)
     if is_astray:
+        worst = terms[int(np.abs(beta).argmax())]
         must = "pairs must have no separation: each item must win and lose, through others at least"
         raise ValueError(
             f"{must}; the estimate of '{worst}' runs away: gather more, or use prior=0.5"
@@ -160,20 +142,17 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
         notes.append(
             f"{prior:g} wins are added to both sides of every row: abilities are shrunken."
         )
-    if people is not None:
-        freedom, source = people[kept].max(), "95 % bootstrap interval over raters"
-        weights = draw_counts(freedom + 1, draws, rng=as_rng(rng))
-        everyone, met = _count_by_rater(rows, people[kept])
-        design_met, _ = _build_design(met, place, order_effect=order_effect)
-        drawn, _, astray = _fit_many(np.einsum("dr,rps->dps", weights, everyone), design_met)
-        drawn[astray] = np.nan
-        errors, more = _find_errors(drawn, len(everyone))
+    if rater:
+        everyone = _count_wins(people[kept], row, every)
+        source, freedom = "95 % bootstrap interval over raters", float(len(everyone) - 1)
+        design_met, _ = _build_design(duels, items, base, order_effect=order_effect)
+        errors, more = _bootstrap_errors(everyone, design_met, draws=draws, rng=as_rng(rng))
         notes += more
-    deviance, likelihood = _judge_fit(wins, design @ beta)
+    deviance, likelihood = _judge_fit(wins + prior, design @ beta)
     return Statistic(
-        "BradleyTerry", fixed=_tabulate(beta, errors, names=names, reference=base, freedom=float(freedom)),
-        deviance=deviance, df=len(wins) - len(names), log_likelihood=likelihood, reference=base,
-        n_comparisons=float(duels.wins.sum()), n_ties=n_ties, uncertainty=source, notes=tuple(notes),
+        "BradleyTerry", fixed=_tabulate(beta, errors, terms=terms, reference=base, freedom=freedom),
+        deviance=deviance, df=len(wins) - len(terms), log_likelihood=likelihood, reference=base,
+        n_comparisons=float(every.sum()), n_ties=n_ties, uncertainty=source, notes=tuple(notes),
     )  # fmt: skip
 
 
@@ -188,22 +167,25 @@ def _judge_fit(wins: Values, odds: Values) -> tuple[float, float]:
     return max(deviance, 0.0), float(ways + (wins * logs).sum())
 
 
-def _count_by_rater(rows: Duels, people: Codes) -> tuple[Values, Duels]:
-    """Count the wins of every rater, (n_raters, n_pairs, 2), in pairs that somebody met."""
-    size = len(rows.items)
-    everyone = np.zeros((int(people.max()) + 1, size * size, 2))
-    np.add.at(everyone, (people, rows.first * size + rows.second), rows.wins)
-    met = np.flatnonzero(everyone.sum(axis=(0, 2)))
-    everyone = everyone[:, met]
-    return everyone, Duels(rows.items, met // size, met % size, everyone.sum(axis=0))
+def _count_wins(people: Codes, row: Codes, wins: Values) -> Values:
+    """Count the wins of every rater in every pair, (n_raters, n_pairs, 2)."""
+    found = np.zeros((int(people.max()) + 1, int(row.max()) + 1, 2))
+    np.add.at(found, (people, row.ravel()), wins)
+    return found
 
 
-def _find_errors(drawn: Values, n_raters: int) -> tuple[Values, list[str]]:
-    """Compute standard errors from draws, with what is to be said of them."""
+def _bootstrap_errors(
+    everyone: Values, design: Values, *, draws: int, rng: np.random.Generator
+) -> tuple[Values, list[str]]:
+    """Compute standard errors from draws of raters, with what is to be said of them."""
     from scipy.stats import t
 
+    n_raters = len(everyone)
+    weights = draw_counts(n_raters, draws, rng=rng)
+    drawn, _, astray = _fit_many(np.einsum("dr,rps->dps", weights, everyone), design)
+    drawn[astray] = np.nan
+    lost, notes = int(np.isnan(drawn).any(axis=1).sum()), list[str]()
     margins = np.array([bootstrap_margin(column, n_raters) for column in drawn.T])
-    lost, draws, notes = int(np.isnan(drawn).any(axis=1).sum()), len(drawn), list[str]()
     if lost:
         why = "an item always won or lost, or met no other"
         notes.append(f"In {lost} of {draws} draws {why}; they are left out.")
@@ -214,23 +196,24 @@ def _find_errors(drawn: Values, n_raters: int) -> tuple[Values, list[str]]:
     return margins / t.ppf((1 + CONFIDENCE) / 2, n_raters - 1), notes
 
 
-def _build_design(duels: Duels, base: int, *, order_effect: bool) -> tuple[Values, list[str]]:
-    """Write each row as +1 for the first item and -1 for the second, without the reference."""
-    names = [item for number, item in enumerate(duels.items) if number != base]
-    rows = np.arange(len(duels.first))
-    design = np.zeros((len(rows), len(duels.items)))
-    design[rows, duels.first], design[rows, duels.second] = 1, -1
-    design = np.delete(design, base, axis=1)
+def _build_design(
+    codes: Codes, items: Names, base: str, *, order_effect: bool
+) -> tuple[Values, list[str]]:
+    """Write each pair as +1 for the first item and -1 for the second, without the reference."""
+    rows, place = np.arange(len(codes)), items.tolist().index(base)
+    design = np.zeros((len(rows), len(items)))
+    design[rows, codes[:, 0]], design[rows, codes[:, 1]] = 1, -1
+    design, terms = np.delete(design, place, axis=1), np.delete(items, place).tolist()
     if not order_effect:
-        return design, names
-    if ORDER in duels.items:
+        return design, terms
+    if ORDER in items:
         raise ValueError(
             f"pairs must not have an item named '{ORDER}', the order effect; rename it"
         )
     design = np.column_stack([design, np.ones(len(design))])
     if np.linalg.matrix_rank(design) < design.shape[1]:
         raise ValueError("order_effect needs pairs presented in both orders; leave it out")
-    return design, [*names, ORDER]
+    return design, [*terms, ORDER]
 
 
 def _fit_many(wins: Values, design: Values) -> tuple[Values, Values, NDArray[np.bool_]]:
@@ -253,12 +236,12 @@ def _fit_many(wins: Values, design: Values) -> tuple[Values, Values, NDArray[np.
 
 
 def _tabulate(
-    estimates: Values, errors: Values, *, names: list[str], reference: str, freedom: float
+    estimates: Values, errors: Values, *, terms: list[str], reference: str, freedom: float
 ) -> DataFrame:
     from pandas import DataFrame
     from scipy.stats import t
 
-    fixed = DataFrame({"estimate": estimates, "se": errors}, index=names).rename_axis("item")
+    fixed = DataFrame({"estimate": estimates, "se": errors}, index=terms).rename_axis("item")
     margin = float(t.ppf((1 + CONFIDENCE) / 2, freedom)) * fixed["se"]
     fixed["z"] = fixed["estimate"] / fixed["se"]
     fixed["p"] = 2 * t.sf(np.abs(fixed["z"]), freedom)
@@ -267,8 +250,20 @@ def _tabulate(
     return fixed.loc[sorted(fixed.index, key=lambda name: (name == ORDER, name))]
 
 
-def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_], int]:
-    """Read paired comparisons as they are, which rows held one, and how many were ties."""
+def _read_raters(pairs: DataFrame, rater: str, draws: int) -> Codes:
+    """Read the number of every row's rater; that of one alone where none is asked for."""
+    if not rater:
+        return np.zeros(len(pairs), np.intp)
+    check_draws(draws, usual=1000)
+    check_columns(pairs, [rater], "trials")
+    people, raters = read_groups(pairs[rater], n=len(pairs), what="row", of=rater, sort=False)
+    if len(raters) < 2:  # noqa: PLR2004 - a spread needs two
+        raise ValueError("trials must be of two raters or more, got one; leave by_rater out")
+    return people
+
+
+def _read_rows(pairs: DataFrame, *, ties: str, ordered: bool) -> tuple[Names, Values, int]:
+    """Read paired comparisons: names and wins of both, (n_rows, 2), and how many were ties."""
     from pandas import DataFrame
 
     if not isinstance(pairs, DataFrame):
@@ -288,18 +283,13 @@ def _read_rows(pairs: DataFrame, *, ties: str) -> tuple[Duels, NDArray[np.bool_]
     elif "loser" not in pairs:
         wins, n_ties = _read_winners(pairs, names, ties)
     else:
+        if ordered:
+            raise ValueError(
+                "order_effect needs pairs that say which was presented first; leave it out"
+            )
         names = np.sort(names, axis=1)
         wins = (names == sides[:, :1]).astype(np.float64)
-    same = names[:, 0] == names[:, 1]
-    if same.any():
-        got = f"got '{names[same][0, 0]}' against itself; leave such rows out"
-        raise ValueError(f"pairs must be of two items, {got}")
-    met = wins.sum(axis=1) > 0  # a pair that never met says nothing
-    if not met.any():
-        raise ValueError("pairs must hold a comparison or more, got no win in any row")
-    items, codes = np.unique(names[met], return_inverse=True)
-    one, other = codes.reshape(-1, 2).T
-    return Duels(tuple(items.tolist()), one, other, wins[met]), met, n_ties
+    return names, wins, n_ties
 
 
 def _read_names(pairs: DataFrame, columns: list[str]) -> Names:
@@ -307,7 +297,12 @@ def _read_names(pairs: DataFrame, columns: list[str]) -> Names:
         if missing := int(pairs[column].isna().sum()):
             got = f"got {missing} rows without a name; name or leave them out"
             raise ValueError(f"pairs must name an item in column '{column}', {got}")
-    return np.stack([pairs[one].astype(str).to_numpy(dtype=np.str_) for one in columns], axis=1)
+    names = np.stack([pairs[one].astype(str).to_numpy(dtype=np.str_) for one in columns], axis=1)
+    same = names[:, 0] == names[:, 1]
+    if same.any():
+        got = f"got '{names[same][0, 0]}' against itself; leave such rows out"
+        raise ValueError(f"pairs must be of two items, {got}")
+    return names
 
 
 def _read_winners(pairs: DataFrame, names: Names, ties: str) -> tuple[Values, int]:

@@ -55,8 +55,7 @@ def discriminate(
     ----------
     n_correct : int, Table or DataFrame
         Trials of one pair of stimuli answered correctly; or ratings, whose ABX answers are taken per level and reducer,
-        each against its reference; or trials with the columns ``first`` and ``second``, the stimuli in either order,
-        and ``correct``.
+        each against its reference.
     n_trials : int, optional
         Trials, at least 1; half of them with X = A, so that no bias for a button can pose as discrimination.
 
@@ -65,8 +64,8 @@ def discriminate(
     Statistic or DataFrame
         ``share`` correct, its 95 % intervals ``wilson_low wilson_high`` and ``exact_low exact_high``
         (Clopper-Pearson); ``p`` of as many or more by guessing; d' under two models of the observer,
-        ``d_independent`` and ``d_differencing``, each with ``_low`` and ``_high``; ``n_correct n_trials notes``. Of a
-        table, a row per pair (and pooled).
+        ``d_independent`` and ``d_differencing``, each with ``_low`` and ``_high``; ``n_correct n_trials notes``. Of
+        ratings, a row per level and reducer.
 
     Notes
     -----
@@ -94,10 +93,18 @@ def discriminate(
     >>> round(result.wilson_low, 3), round(result.wilson_high, 3)
     (0.551, 0.88)
     """
+    from pandas import DataFrame
     from scipy.stats import binomtest
 
     if not isinstance(n_correct, int | float | np.number):
-        return _tabulate(n_correct)
+        rows = open_ratings(n_correct)
+        check_columns(rows, ["scale", "level", "reducer", "role", "rating"], "ratings")
+        answers = rows[(rows["scale"] == ANSWERED) & (rows["role"] != "reference")]
+        return DataFrame([
+            {"level": level, "reducer": reducer}
+            | dict(discriminate(int((part["rating"] == HIGHEST).sum()), len(part)))
+            for (level, reducer), part in answers.groupby(["level", "reducer"], observed=True)
+        ])
     n_trials = 0 if n_trials is None else n_trials
     whole = all(float(count).is_integer() for count in (n_correct, n_trials))
     if not whole or not 0 <= n_correct <= n_trials or n_trials < 1:
@@ -121,48 +128,6 @@ def discriminate(
         exact_low=float(exact.low), exact_high=float(exact.high), p=float(test.pvalue), **d_primes,
         n_correct=int(n_correct), n_trials=int(n_trials), notes=tuple(notes),
     )  # fmt: skip
-
-
-def _tabulate(trials: Table | DataFrame) -> DataFrame:
-    import pandas as pd
-
-    rows = open_ratings(trials, what="trials")
-    if "scale" not in rows:
-        found = discriminate_pairs(rows).items()
-        pairs = (
-            (dict(zip(("first", "second"), key or ("all", "all"), strict=True)), one)
-            for key, one in found
-        )
-        return pd.DataFrame([keys | dict(one) for keys, one in pairs])
-    check_columns(rows, ["level", "reducer", "role", "rating"], "ratings")
-    answers = rows[(rows["scale"] == ANSWERED) & (rows["role"] != "reference")]
-    return pd.DataFrame([
-        {"level": level, "reducer": reducer}
-        | dict(discriminate(int((part["rating"] == HIGHEST).sum()), len(part)))
-        for (level, reducer), part in answers.groupby(["level", "reducer"], observed=True)
-    ])
-
-
-def discriminate_pairs(trials: DataFrame) -> dict[tuple[str, str] | None, Statistic]:
-    """Evaluate ABX trials pair by pair, in alphabetical order; None -> all trials pooled."""
-    check_columns(trials, ["first", "second", "correct"], "trials")
-    if trials.empty or trials[["first", "second"]].isna().any(axis=None):
-        raise ValueError("trials must be one row or more that name first and second")
-    names = np.sort(trials[["first", "second"]].astype(str).to_numpy(dtype=np.str_), axis=1)
-    if len(alike := names[names[:, 0] == names[:, 1]]):
-        got = f"got '{alike[0, 0]}' against itself; leave such rows out"
-        raise ValueError(f"trials must be of two stimuli, {got}")
-    odd = trials.loc[~trials["correct"].isin([True, False]), "correct"]
-    if len(odd):
-        got = f"got {odd.iloc[0]!r}; leave lapses out"
-        raise ValueError(f"trials must hold true or false in column 'correct', {got}")
-    correct = trials["correct"].to_numpy().astype(np.int64)
-    pairs, number = np.unique(names, axis=0, return_inverse=True)
-    found: dict[tuple[str, str] | None, Statistic] = {}
-    for place, (first, second) in enumerate(pairs):
-        part = correct[number.ravel() == place]
-        found[str(first), str(second)] = discriminate(int(part.sum()), len(part))
-    return found | {None: discriminate(int(correct.sum()), len(correct))}
 
 
 def abx_d_prime(share: float, *, model: str = "independent") -> float:

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.figures import style
 from feel321.analysis.figures.style import Look
@@ -26,14 +27,11 @@ from feel321.analysis.words import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from numpy.typing import NDArray
-    from pandas import DataFrame
+    from pandas import DataFrame, Series
 
     from feel321.analysis.association.correlate import Panel
     from feel321.analysis.primary.model import Primary
     from feel321.records import Statistic
-
-    Values = NDArray[np.float64]
 
 PLAIN = Look(style.BLACK, "o")
 AXIS_CM, LABEL_CM = 1.5, 4.4
@@ -65,36 +63,34 @@ def plot_forest(  # noqa: PLR0913 - what a forest may have, by name
     heading: column of what rows are headed by. include: values that the axis must hold; at 0 it has a line.
     """
     held = list(include)
-    limits = _find_limits(frame[columns.split()].to_numpy(np.float64), held)
-    labels: list[tuple[str, bool]] = []
-    head = None
+    limits = _find_limits(frame[columns.split()].astype(float), held)
+    labels, weights, last = list[str](), list[str](), ""
     for keys, part in frame.groupby([heading or "name", "name"], sort=False):
-        if heading and keys[0] != head:
-            head = keys[0]
-            labels.append((str(head), True))
+        head, name = map(str, keys)
+        if heading and head != last:
+            last = head
+            labels.append(style.fit_text(head, LABEL_CM + 1, lines=1))
+            weights.append("bold")
         for number, row in enumerate(part.to_dict("records")):
-            offset = (number - (len(part) - 1) / 2) * MARK_CM / ROW_CM
             look = looks.get(str(row[series]), PLAIN) if series else PLAIN
-            ends, filled = [row[name] for name in columns.split()], bool(row.get("filled", True))
-            _plot_mark(axes, ends, len(labels) + offset, limits=limits, look=look, filled=filled)
-        labels.append((str(keys[1]), False))
+            height = len(labels) + (number - (len(part) - 1) / 2) * MARK_CM / ROW_CM
+            ends, filled = [row[one] for one in columns.split()], bool(row.get("filled", True))
+            _plot_mark(axes, ends, height, limits=limits, look=look, filled=filled)
+        labels.append(style.fit_text(name, LABEL_CM))
+        weights.append("normal")
     if 0.0 in held:
         axes.axvline(0, color=style.GREY, linewidth=0.6, zorder=1)
     axes.set(xlim=limits, ylim=(len(labels) - 0.4, -0.6))
-    texts = [
-        style.fit_text(text, LABEL_CM + is_head, lines=1 if is_head else 2)
-        for text, is_head in labels
-    ]
-    axes.set_yticks(range(len(labels)), texts)
+    axes.set_yticks(range(len(labels)), labels)
     axes.tick_params(axis="y", length=0)
-    for label, (_, is_head) in zip(axes.get_yticklabels(), labels, strict=True):
-        label.set_fontweight("bold" if is_head else "normal")
+    for label, weight in zip(axes.get_yticklabels(), weights, strict=True):
+        label.set_fontweight(weight)
     axes.locator_params(axis="x", nbins=5)
 
 
-def _find_limits(estimates: Values, include: Sequence[float]) -> tuple[float, float]:
+def _find_limits(estimates: DataFrame, include: Sequence[float]) -> tuple[float, float]:
     """Find the part of the axis that holds all estimates, and all intervals that are not endless."""
-    values, ends = np.array([*estimates[:, 0], *include]), estimates[:, 1:]
+    values, ends = np.array([*estimates.iloc[:, 0], *include]), estimates.iloc[:, 1:].to_numpy()
     values, ends = values[np.isfinite(values)], ends[np.isfinite(ends).all(axis=1)]
     if not len(values):
         return -1.0, 1.0
@@ -140,27 +136,22 @@ def draw_estimates(  # noqa: PLR0913 - what a forest may have, by name
     heading: str = "",
     lines: Mapping[str, float] = MappingProxyType({"-": 0.0}),
     band: tuple[float, float] = (np.nan, np.nan),
-    title: str = "",
 ) -> Figure:
     """Draw a forest as a figure of its own, as `plot_forest` takes its frame.
 
     lines: line style -> place of a vertical line; band: places between which it is shaded.
     """
     looks = look_up(frame[series]) if series else {}
-    known = [place for place in (*lines.values(), *band) if np.isfinite(place)]
-    sizes = frame.groupby([heading or "name", "name"]).size()
-    n_rows = len(sizes) + (frame[heading].nunique() if heading else 0)
+    include = [place for place in (*lines.values(), *band) if np.isfinite(place)]
     with style.print_style():
-        figure, axes = style.new_figure(
-            (ROW_CM + MARK_CM * (int(sizes.max()) - 1)) * n_rows + AXIS_CM
-        )
-        held: dict[str, Any] = {
-            "columns": columns,
-            "looks": looks,
-            "series": series,
-            "heading": heading,
-        }
-        plot_forest(axes, frame, include=known, **held)
+        figure, axes = style.new_figure(AXIS_CM)
+        forest: dict[str, Any] = {"columns": columns, "series": series, "heading": heading}
+        plot_forest(axes, frame, include=include, looks=looks, **forest)
+        # A row is as high as its marks, or as the name that takes most lines.
+        marks = int(frame.groupby([heading or "name", "name"]).size().max())
+        names = [name.get_text() for name in axes.get_yticklabels()]
+        text_cm = style.LINE_CM * (1.3 + max(name.count("\n") for name in names))
+        style.grow(figure, len(names) * max(ROW_CM + MARK_CM * (marks - 1), text_cm))
         axes.set_xlabel(label)
         for line, place in lines.items():
             if place and np.isfinite(place):
@@ -168,8 +159,6 @@ def draw_estimates(  # noqa: PLR0913 - what a forest may have, by name
                 axes.axvline(place, linestyle=line, color=colour, linewidth=width, zorder=1)
         if np.isfinite(band).all():
             axes.axvspan(*band, color=style.PALE, linewidth=0, zorder=0)
-        if title:
-            style.add_title(figure, title)
         if len(looks) > 1 and not heading:
             named = {format_name(name): look for name, look in looks.items()}
             style.add_legend(figure, style.make_handles(named))
@@ -178,19 +167,18 @@ def draw_estimates(  # noqa: PLR0913 - what a forest may have, by name
 
 def list_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> DataFrame:
     """List the slopes of primary models: a heading per model, a row per metric."""
-    from pandas import DataFrame
-
     several, rows = len({step.per for step in steps.values()}) > 1, []
     for attribute, model in models.items():
         for row in model.slopes.reset_index().to_dict("records"):
             metric = str(row["metric"])
             step = steps.get(metric, Step())
-            names = {"value": "tenth", "low": "tenth_low", "high": "tenth_high"}
-            ends = {end: row[name] * (step.size / TENTH) for end, name in names.items()}
-            name = format_name(metric) + f", per {step.per}" * several
-            about = {"attribute": format_name(attribute), "name": name, "metric": metric}
-            rows.append(about | ends | {"filled": not model.fit.singular})
-    return DataFrame(rows)
+            share = step.size / TENTH
+            rows.append({
+                "attribute": format_name(attribute), "name": format_name(metric) + f", per {step.per}" * several,
+                "metric": metric, "filled": not model.fit.singular, "value": row["tenth"] * share,
+                "low": row["tenth_low"] * share, "high": row["tenth_high"] * share,
+            })  # fmt: skip
+    return pd.DataFrame(rows)
 
 
 def draw_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Figure:
@@ -260,7 +248,7 @@ def draw_scatters(
     return figure
 
 
-def draw_delivered(items: DataFrame, metrics: Sequence[str], errors_db: Values) -> Figure:
+def draw_delivered(items: DataFrame, metrics: Sequence[str], errors_db: Series) -> Figure:
     """Draw each metric delivered against intended, and the level errors.
 
     items: a row per stimulus with `reducer`, the metrics, and those with the suffix `_delivered`.
@@ -297,7 +285,7 @@ def draw_residuals(models: Mapping[str, Primary]) -> Figure:
     """Draw a normal quantile plot of each model's residuals, and the residuals against the fitted values."""
     from scipy.special import ndtri
 
-    points: dict[str, Any] = {"marker": "o", "linestyle": "none", "markersize": 2, "markeredgewidth": 0}  # fmt: skip
+    points: dict[str, Any] = {"linestyle": "none", "markersize": 2, "markeredgewidth": 0}
     with style.print_style():
         figure = style.new_canvas(CELL_CM * len(models))
         grid = figure.subplots(len(models), 2, squeeze=False)
@@ -307,9 +295,12 @@ def draw_residuals(models: Mapping[str, Primary]) -> Figure:
             chosen = np.unique(np.linspace(0, n - 1, min(n, MOST)).round().astype(np.intp))
             ordered = np.sort(residuals) / (residuals.std(ddof=1) or 1.0)
             left.axline((0, 0), slope=1, color=style.GREY, linewidth=0.6, zorder=1)
-            left.plot(ndtri((chosen + 0.5) / n), ordered[chosen], color=style.BLACK, **points)
+            at = ndtri((chosen + 0.5) / n)
+            left.plot(at, ordered[chosen], "o", color=style.BLACK, **points)
             right.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
-            right.plot(fitted[chosen], residuals[chosen], color=style.BLACK, alpha=0.4, **points)
+            right.plot(
+                fitted[chosen], residuals[chosen], "o", color=style.BLACK, alpha=0.4, **points
+            )
             title = style.fit_text(name, 6.0)
             left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)", title=title)
             right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
@@ -348,31 +339,31 @@ def plot_profile(
     label_cm: float = LABEL_CM,
 ) -> None:
     """Plot the ratings of one scale and level: tests from the highest mean down, then reference and anchors."""
-    means = {(row["role"], row["reducer"]): row for row in profile.to_dict("records")}
-    keys = sorted(
-        means,
-        key=lambda key: (ROLES.index(key[0]), -means[key]["mean"] if key[0] == ROLES[0] else 0),
+    tested = profile["role"] == ROLES[0]
+    order = profile.assign(
+        rank=profile["role"].map(ROLES.index), fall=-profile["mean"].where(tested, 0.0)
     )
-    n_tests = sum(role == ROLES[0] for role, _ in keys)
-    places = {key: place + 0.5 * (place >= n_tests) for place, key in enumerate(keys)}
-    if 0 < n_tests < len(keys):
+    rows = order.sort_values(["rank", "fall"], kind="stable").to_dict("records")
+    n_tests, places = int(tested.sum()), dict[tuple[Any, Any], float]()
+    if 0 < n_tests < len(rows):
         axes.axhline(n_tests - 0.25, color=style.GREY, linewidth=style.THIN, linestyle=":")
-    pale: dict[str, Any] = {"color": style.GREY, "alpha": 0.6, "marker": ".", "markersize": 2}
-    for (joined, _), part in people.groupby([people["role"] == ROLES[0], "participant"]):
-        height = np.array([places[key] for key in zip(part["role"], part["reducer"], strict=True)])
-        down, line = np.argsort(height), "-" if joined else "none"
-        at = part["rating"].to_numpy()[down]
-        axes.plot(at, height[down], linestyle=line, linewidth=0.4, **pale)
-    for (role, reducer), height in places.items():
-        row, look = means[role, reducer], looks.get(reducer, PLAIN)
+    labels = []
+    for place, row in enumerate(rows):
+        height, role, reducer = place + 0.5 * (place >= n_tests), row["role"], row["reducer"]
+        places[role, reducer], look = height, looks.get(reducer, PLAIN)
         if np.isfinite(row["low"]):
             bar: dict[str, Any] = {"color": look.colour, "linewidth": 1.2, "zorder": 3}
             axes.plot([row["low"], row["high"]], [height, height], **bar)
         style.plot_marks(axes, row["mean"], height, look=look, size=4.5)
-    labels = [
-        style.fit_text(name if role == ROLES[0] else f"{name} ({role})", label_cm)
-        for role, name in places
-    ]
+        labels.append(
+            style.fit_text(reducer if place < n_tests else f"{reducer} ({role})", label_cm)
+        )
+    pale: dict[str, Any] = {"color": style.GREY, "alpha": 0.6, "marker": ".", "markersize": 2}
+    for (joined, _), part in people.groupby([people["role"] == ROLES[0], "participant"]):
+        keys = zip(part["role"], part["reducer"], strict=True)
+        own = part.assign(height=[places[key] for key in keys]).sort_values("height")
+        line = "-" if joined else "none"
+        axes.plot(own["rating"], own["height"], linestyle=line, linewidth=0.4, **pale)
     axes.set_yticks(list(places.values()), labels)
     axes.set(xlim=(LOWEST - 2, HIGHEST + 2), ylim=(max(places.values()) + 0.6, -0.8))
 
@@ -384,11 +375,11 @@ ORIGINAL, STAR = "original", Look(style.BLACK, "*")
 """The hidden reference, and how it is drawn."""
 
 
-def draw_space(ellipses: Statistic, names: Sequence[str]) -> Figure:
+def draw_space(space: Statistic, names: Sequence[str]) -> Figure:
     """Draw the group's map with an ellipse per stimulus; a star is the original."""
     from matplotlib.patches import Ellipse
 
-    n = len(ellipses.space.positions)
+    n, ellipses = len(space.positions), space.ellipses
     if len(names) != n or len(set(names)) != n:
         raise ValueError(
             f"names must be one for each of {n} stimuli, got {len(set(names))} different ones"
@@ -396,17 +387,17 @@ def draw_space(ellipses: Statistic, names: Sequence[str]) -> Figure:
     looks = style.assign_looks([name for name in names if name != ORIGINAL]) | {ORIGINAL: STAR}
     with style.print_style():
         figure, axes = style.new_figure(MAP_CM)
-        shapes = (names, ellipses.space.positions, ellipses.half_axes, ellipses.angle)
+        shapes = (names, space.positions, ellipses.half_axes, ellipses.angle)
         for name, place, half, angle in zip(*shapes, strict=True):
             look = looks[name]
             fill: dict[str, Any] = {"facecolor": look.colour, "alpha": 0.15, "linewidth": 0}
             axes.add_patch(Ellipse(tuple(place), *(2 * half), angle=float(angle), **fill))
             style.plot_marks(axes, place[0], place[1], look=look, size=9.0 if look == STAR else 4.5)
-        unit = "rank order only" if ellipses.space.ordinal else "unit of dissimilarity"
+        unit = "unit of dissimilarity"
         axes.set(xlabel=f"Dimension 1 ({unit})", ylabel=f"Dimension 2 ({unit})")
         axes.autoscale_view()
         axes.set_aspect("equal", adjustable="datalim")
-        stress, people = ellipses.space.stress, ellipses.n_participants
+        stress, people = space.stress, ellipses.n_participants
         title = (
             f"Stress-1 = {stress:.2f}; ellipses: n = {people} participants, {ellipses.draws} draws."
         )

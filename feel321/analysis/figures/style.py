@@ -29,10 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.lines import Line2D
     from numpy.typing import ArrayLike
 
-COLUMN_CM, WIDTH_CM = 8.5, 14.0
-"""Width of a journal's column, and of figures."""
-
-CM_PER_INCH = 2.54
+WIDTH_CM, CM_PER_INCH = 14.0, 2.54
 THIN, GREY, BLACK, PALE = 0.5, "#757575", "#000000", "#DEDEDE"
 BLUE, RED = "#0072B2", "#D55E00"
 
@@ -155,7 +152,7 @@ def add_title(figure: Figure, text: str) -> None:
     """Write above a figure what it shows, and give it the height that this takes."""
     fitted = fit_text(text, WIDTH_CM - 1.0, lines=8)
     figure.suptitle(fitted, x=0.2 / WIDTH_CM, ha="left")
-    _grow(figure, LINE_CM * (1 + fitted.count("\n")))
+    grow(figure, LINE_CM * (1 + fitted.count("\n")))
 
 
 def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
@@ -166,10 +163,11 @@ def add_legend(figure: Figure, shown: Mapping[str, Artist]) -> None:
     columns = max(1, int(WIDTH_CM / (max(map(len, labels)) / LETTERS_PER_CM + 0.9)))
     place: dict[str, Any] = {"loc": "outside lower center", "ncols": columns, "frameon": False}
     figure.legend(list(shown.values()), labels, handletextpad=0, columnspacing=0.8, **place)
-    _grow(figure, 0.45 * -(-len(labels) // columns))
+    grow(figure, 0.45 * -(-len(labels) // columns))
 
 
-def _grow(figure: Figure, height_cm: float) -> None:
+def grow(figure: Figure, height_cm: float) -> None:
+    """Make a figure higher."""
     width, height = figure.get_size_inches()
     figure.set_size_inches(width, height + height_cm / CM_PER_INCH)
 
@@ -183,18 +181,6 @@ def make_handles(looks: Mapping[str, Look]) -> dict[str, Artist]:
         name: Line2D([], [], color=look.colour, marker=look.marker, **rim)
         for name, look in looks.items()
     }
-
-
-def spread(falling: Sequence[float], apart: float, *, low: float) -> list[float]:
-    """Move heights, from the highest down, until each is so far below the one before, and the last not below low."""
-    places: list[float] = []
-    for height in falling:
-        places.append(min(height, places[-1] - apart) if places else height)
-    floor = low
-    for number in range(len(places) - 1, -1, -1):
-        places[number] = max(places[number], floor)
-        floor = places[number] + apart
-    return places
 
 
 # How figures are saved: as vector and as bitmap, the same bytes for the same data.

@@ -1,4 +1,4 @@
-"""The answer that opens a report: cards and the clauses of its sentence, decided from verdicts and rows.
+"""What opens a report: the cards, the clauses of its sentence, and the claims of the paper that it replicates.
 
 A clause claims no more than its verdicts: a direction only where Holm's p is below .05, a better metric only where the
 difference is clear and that metric predicts, nothing where a slope is not estimable. ``words/headline.j2`` phrases it.
@@ -7,16 +7,28 @@ difference is clear and that metric predicts, nothing where a slope is not estim
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis.primary.sensitivity import LOST, NOT_ESTIMABLE, OPEN, PREDICTS
-from feel321.analysis.report.section import Found, find_row
-from feel321.analysis.words import format_method, format_name, join_words
+from feel321.analysis.report.section import Found, find_row, make_row, read_ends
+from feel321.analysis.words import (
+    capitalise,
+    format_interval,
+    format_method,
+    format_name,
+    format_number,
+    join_words,
+)
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from feel321.analysis.replication import Paper, PaperAnswer
     from feel321.analysis.report.section import Row
+    from feel321.analysis.resampling import Choices
+    from feel321.analysis.table.items import Table
 
 OPPOSITE = "opposite"
 NAMED = 2
@@ -36,26 +48,23 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
     for verdict in primary.verdicts:
         place = {key: verdict[key] for key in PLACE}
         within = place | {"method": format_method("within")}
-        effect, r = (
-            find_row(slopes, "slope_quartile", **place),
-            find_row(alone, "r", **within) or blank,
-        )
-        others = [one["metric"] for one in primary.verdicts if one["subject"] == verdict["subject"]]
-        known = [
-            name
-            for name in others
-            if name != verdict["metric"]
-            and find_row(slopes, "slope_quartile", **place | {"metric": name})
-        ]
-        way = "higher" if r["value"] > 0 else "lower"
-        predicts, size = verdict["verdict"] == PREDICTS, (effect or blank)["value"]
+        effects = {
+            one["metric"]: find_row(slopes, "slope_quartile", **place | {"metric": one["metric"]})
+            for one in primary.verdicts
+            if one["subject"] == verdict["subject"]
+        }
+        effect = effects.pop(verdict["metric"])
+        size, r = effect or blank, find_row(alone, "r", **within) or blank
+        predicts = verdict["verdict"] == PREDICTS
         cards.append({
-            **verdict, "effect": {end: (effect or blank)[end] for end in blank}, "r": {end: r[end] for end in blank},
+            **verdict, "effect": read_ends(size), "r": read_ends(r),
             "ceiling": (find_row(alone, "ceiling", **within) or blank)["value"],
-            "given": known if effect else [], "unflagged": unflagged.get(tuple(place.values()), ""),
+            "given": [name for name, other in effects.items() if effect and other],
+            "unflagged": unflagged.get(tuple(place.values()), ""),
             "outcome": OPPOSITE if verdict["opposite"] else verdict["verdict"],
             # How ratings go with a metric alone; empty where its interval covers zero.
-            "turned": predicts and size * r["value"] < 0, "alone": way if r["low"] * r["high"] > 0 else "",
+            "turned": predicts and size["value"] * r["value"] < 0,
+            "alone": ("higher" if r["value"] > 0 else "lower") if r["low"] * r["high"] > 0 else "",
         })  # fmt: skip
     return cards
 
@@ -65,10 +74,9 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
 
 def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
     """Decide what the headline says: of every metric and scale, and of every protocol that has no card."""
-    by_metric = {
-        metric: [card for card in cards if card["metric"] == metric]
-        for metric in dict.fromkeys(card["metric"] for card in cards)
-    }
+    by_metric: dict[str, list[Row]] = {}
+    for card in cards:
+        by_metric.setdefault(card["metric"], []).append(card)
     alike: dict[tuple[Any, ...], list[str]] = {}
     for metric, own in by_metric.items():
         outcomes = tuple((card["outcome"], card["turned"]) for card in own)
@@ -80,20 +88,23 @@ def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
         if own := [card for card in every if card["beyond_level"] == LOST]:
             clauses.append({"kind": "lost", "metric": metric, "what": name_scales(own, every)})
     if "raters" in found and any(card["unflagged"] for card in cards):
-        # Verdicts that are others without the raters whom screening rules flag.
-        ways: dict[tuple[str, str], list[str]] = {}
-        for metric, every in by_metric.items():
-            for way in dict.fromkeys(card["unflagged"] for card in every if card["unflagged"]):
-                own = [card for card in every if card["unflagged"] == way]
-                turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
-                key = OPPOSITE if turned else way, name_scales(own, every)
-                ways.setdefault(key, []).append(metric)
-        told = [{"kind": way, "what": what, "metrics": own} for (way, what), own in ways.items()]
         sizes = {name: found["raters"].facts[name] for name in ("flagged", "n_raters")}
-        clauses.append({"kind": "unflagged", **sizes, "ways": told})
+        clauses.append({"kind": "unflagged", **sizes, "ways": _list_ways(by_metric)})
     others = [{"kind": "other", "text": text} for one in found.values() for text in one.clauses]
     # More of them stand beneath the cards, where they would be said a second time.
     return clauses + (others if len(others) <= NAMED or not clauses else [])
+
+
+def _list_ways(by_metric: Mapping[str, Sequence[Row]]) -> list[Row]:
+    """List the verdicts that are others without the raters whom screening rules flag, each once."""
+    ways: dict[tuple[str, str], list[str]] = {}
+    for metric, every in by_metric.items():
+        for way in dict.fromkeys(card["unflagged"] for card in every if card["unflagged"]):
+            own = [card for card in every if card["unflagged"] == way]
+            turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
+            key = OPPOSITE if turned else way, name_scales(own, every)
+            ways.setdefault(key, []).append(metric)
+    return [{"kind": way, "what": what, "metrics": own} for (way, what), own in ways.items()]
 
 
 def _group(cards: Sequence[Row], metrics: Sequence[str]) -> Iterator[Row]:
@@ -171,33 +182,113 @@ def list_exceptional(rows: Sequence[Row]) -> list[Row]:
     return [row for row in excesses if tuple(row[key] for key in keys) in flagged]
 
 
-# Where correlations over all stimuli pooled, another question, disagree with the primary model.
+# A paper's own questions, each answered by this study; they open the report of a replication.
+
+WAYS = {"positive": "higher", "negative": "lower"}
 
 
-def reconcile(panels: Iterable[Row], verdicts: Iterable[Row]) -> None:
-    """Mark in the facts of the correlations where they disagree with the verdicts on the same ratings."""
+def compute_paper(
+    table: Table, choices: Choices, *, paper: Paper, others: Mapping[str, Found]
+) -> Found:
+    """Answer the claims of a paper; others: what the sections that follow found."""
+    from feel321.analysis.replication import AGREES, DIFFERS, answer_claims
 
-    def disagrees(one: Row, verdict: Row) -> bool:
-        if math.isnan(one["r"]["low"]):
-            return False
-        if one["covers"]:
-            return bool(verdict["verdict"] == PREDICTS)
-        higher = verdict["direction"] == "higher"
-        return bool(verdict["verdict"] == OPEN or higher != (one["r"]["value"] > 0))
+    found, answers = Found(key="paper"), list(answer_claims(table, paper, choices))
+    odd = others["primary"].rows["exceptions"] if "primary" in others else []
+    verdicts = {verdict: [one.claim.name for one in answers if one.verdict == verdict]
+                for verdict in (DIFFERS, AGREES, OPEN, NOT_ESTIMABLE)}  # fmt: skip
+    found.facts = {
+        "citation": paper.citation, "seen": paper.seen, "counts": verdicts,
+        "answers": [
+            {"name": one.claim.name, "claim": one.claim.claim, "source": one.claim.source, "verdict": one.verdict,
+             "sentence": capitalise(one.sentence)}
+            for one in answers
+        ],
+        "surprises": list(_list_surprises(paper, odd)) or [
+            _describe_excess(one) for one in answers
+            if one.claim.measure == "rating_excess" and one.found
+            and one.claim.expect in WAYS and one.verdict in {AGREES, DIFFERS}
+        ],
+        "ours": sum(one.claim.source == "ours" for one in answers),
+    }  # fmt: skip
+    for one in answers:
+        found.rows["paper_claims"] += _list_answer(one)
+    for row in tabulate_metrics(table, paper).to_dict("records"):
+        known = {name: value for name, value in row.items() if value == value}  # noqa: PLR0124 - is a number
+        if "paper" in known:
+            known["told"] = f"{row['shown']} ({row['table']}, {row['source']})"
+        found.add("paper_metrics", [known], n=1)
+    return found
 
-    known = {
-        tuple(one[key] for key in PLACE): one for one in verdicts if one["verdict"] != NOT_ESTIMABLE
-    }
-    for panel in panels:
-        own = {
-            metric: one
-            for (scale, level, metric), one in known.items()
-            if (scale, level) == (panel["scale"], panel["level"])
-        }
-        found = (one for one in panel["found"] if one["metric"] in own)
-        panel["against"] = [one for one in found if disagrees(one, own[one["metric"]])]
-        panel["stronger"] = [
-            two for two in panel["differences"]
-            if two["stronger"] and set(two["metrics"]) <= set(own)
-            and not set(two["metrics"]) - {two["stronger"]} & set(own[two["stronger"]]["better_than"])
-        ]  # fmt: skip
+
+def _list_answer(one: PaperAnswer) -> Iterator[Row]:
+    claim, found = one.claim, one.found
+    keys: Row = {"claim": claim.name, "measure": claim.measure, "source": claim.source}
+    keys |= {"n": found.n if found else 0}
+    kind = found.kind if found else "correlation"
+    yield make_row("verdict", one.verdict.replace("_", " "), **keys)
+    value, low, high = claim.paper
+    told = format_interval(low, high, kind=kind)
+    if math.isfinite(value):
+        told = format_number(value, kind=kind)
+    ends = {"low": low, "high": high, "interval": "the paper's range"}
+    yield make_row("paper", value, note=told, **ends, **keys)
+    for name, own in (("here", found), ("without", one.without)):
+        if own is not None:
+            ends = {"low": own.low, "high": own.high, "interval": own.interval}
+            yield make_row(name, own.value, note=own.describe(), **ends, **keys)
+
+
+def _list_surprises(paper: Paper, odd: Sequence[Row]) -> Iterator[Row]:
+    """List reducers that were rated otherwise than the metrics predict, and whether the paper names them too."""
+    named: dict[str, set[str]] = {name: set() for one in paper.claims for name in one.exceptions}
+    for claim in paper.claims:
+        if claim.measure == "rating_excess" and claim.expect in WAYS:
+            named.setdefault(str(claim.options.get("reducer")), set()).add(WAYS[claim.expect])
+    rows = list_exceptional(odd)
+    for reducer in dict.fromkeys(row["reducer"] for row in rows):
+        own = sorted(
+            (row for row in rows if row["reducer"] == reducer), key=lambda row: abs(row["value"])
+        )
+        ways = sorted({"higher" if row["value"] > 0 else "lower" for row in own})
+        yield {
+            "reducer": reducer, "ways": ways, "points": [abs(own[0]["value"]), abs(own[-1]["value"])], "metrics": [],
+            "where": [f"{row['scale']}, {row['level']}" for row in own], "named": reducer in named,
+            "otherwise": [] if named.get(reducer, set()) >= set(ways) else sorted(named.get(reducer, ())),
+        }  # fmt: skip
+
+
+def _describe_excess(one: PaperAnswer) -> Row:
+    """Describe the excess of a claim, where the primary model cannot tell which reducers are exceptional."""
+    options, value = one.claim.options, one.found.value if one.found else math.nan
+    metrics = options.get("metrics", ())
+    return {
+        "reducer": options["reducer"], "points": [abs(value)] * 2, "where": [], "otherwise": [],
+        "ways": ["higher" if value > 0 else "lower"], "named": one.verdict == "agrees",
+        "metrics": [metrics] if isinstance(metrics, str) else list(metrics),
+    }  # fmt: skip
+
+
+def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
+    """Tabulate the match metrics of every recording and reducer, with the paper's numbers and mountings beside."""
+    import pandas as pd
+
+    from feel321.analysis.replication import tabulate_metric
+
+    matches = ("spectral_match", "temporal_match")
+    known = [name for name in matches if table.stimuli is not None and name in table.stimuli]
+    if paper.published is None or not known:
+        return pd.DataFrame()
+    long = (
+        tabulate_metric(table, name)
+        .reset_index()
+        .melt("recording", var_name="reducer", value_name="value")
+        .assign(metric=name)
+        for name in known
+    )
+    found = pd.concat(long, ignore_index=True).dropna(subset="value")
+    for beside in (paper.published, paper.mountings):
+        if beside is not None:
+            found = found.merge(beside, how="left", on=["recording", "reducer", "metric"])
+    later = ~found["recording"].isin(paper.published["recording"])  # first what the paper shows
+    return found.assign(later=later).sort_values(["later", "recording", "metric"], kind="stable")

@@ -7,18 +7,18 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
-from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, PAIRED
-from feel321.analysis.words import format_count, format_name
+from feel321.analysis.table.schema import CHOSEN, HIGHEST, PAIRED
+from feel321.analysis.words import format_count, format_level, format_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-    from feel321.analysis.arrays import Values
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.records import Statistic
@@ -28,29 +28,26 @@ if TYPE_CHECKING:
 
 def compute_choices(table: Table, choices: Choices) -> Found:
     """Evaluate triplets and preferences, per scale and level."""
-    found = Found(key="choices", facts={"parts": []})
+    found = Found(key="choices")
     for part in split_arms(table.rows[table.rows["scale"].isin(CHOSEN)]):
         own = replace(table, rows=part.rows.reset_index(drop=True))
-        first, notes = len(found.notes), []
+        first, rows = len(found.notes), own.rows
         roles = [_map_stimuli(own, name, ROLE) for name in (STIMULUS, OTHER)]
         is_catch = (roles[0] == "anchor") != (roles[1] == "anchor")
         if n := int(is_catch.sum()):
-            is_first = own.rows["rating"] == HIGHEST
-            wrong = int((roles[0].where(is_first, roles[1])[is_catch] == "anchor").sum())
-            found.add(
-                "choices_sizes", [{"anchors_chosen": wrong, "catch_trials": n, "n": n}], **part.keys
-            )
-            notes.append(f"an anchor was chosen in {wrong} of {n} catch trials.")
+            chosen = roles[0].where(rows["rating"] == HIGHEST, roles[1])
+            wrong = int((chosen[is_catch] == "anchor").sum())
+            sizes = {"anchors_chosen": wrong, "catch_trials": n, "n": n}
+            found.add("choices_sizes", [sizes], **part.keys)
+            found.notes.append(f"an anchor was chosen in {wrong} of {n} catch trials.")
         # Catch trials, which are won nearly always, have no part in abilities.
-        votes = own.rows[(roles[0] != "anchor") & (roles[1] != "anchor")]
+        votes = replace(own, rows=rows[(roles[0] != "anchor") & (roles[1] != "anchor")])
         rng = choices.make_rng("choices", *part.place)
-        for step, given in ((_predict, own), (_scale, replace(own, rows=votes))):
-            try:
-                notes += step(found, part, given, draws=choices.draws, rng=rng)
-            except ValueError as error:
-                notes.append(f"{str(error).removesuffix('.')}.")
-        found.notes[first:] = [f"{part.lead}: {note}" for note in notes]
-    for one in found.facts["parts"]:
+        found.attempt("", _predict, found, part, own)
+        found.attempt("", _scale, found, part, votes, draws=choices.draws, rng=rng)
+        notes = (note.strip().rstrip(".") for note in found.notes[first:])
+        found.notes[first:] = [f"{part.lead}: {note}." for note in notes]
+    for one in found.facts.get("parts", ()):
         found.claim(one=one)
     return found
 
@@ -61,14 +58,14 @@ def _map_stimuli(table: Table, column: str, attribute: str) -> Any:  # noqa: ANN
     return table.rows[column].map(known)
 
 
-def _predict(found: Found, part: Part, table: Table, **_: object) -> Sequence[str]:
+def _predict(found: Found, part: Part, table: Table) -> None:
     """Count how many choices each metric predicts."""
     from feel321.analysis.choices import gather_votes, predict
 
-    one = predict(gather_votes(table, metrics=table.metrics))
+    one = predict(gather_votes(table, table.metrics))
     keys: Row = {**part.keys, "n": one.n_votes}
-    shares = one.to_frame()
-    found.add("choices_predicted", shares.assign(n_choices=one.n_votes), **keys)
+    shares = one.to_frame().assign(n_choices=one.n_votes)
+    found.add("choices_predicted", shares, **keys)
     ceilings = [
         {"metric": "majority_of_others", "share": one.others, "low": one.others_low, "high": one.others_high},
         {"metric": "majority_of_all", "share": one.majority, "low": np.nan, "high": np.nan},
@@ -78,7 +75,7 @@ def _predict(found: Found, part: Part, table: Table, **_: object) -> Sequence[st
     found.add("choices_differences", one.differences, **keys)
     sizes = {name: one[name] for name in ("n_participants", "n_recordings", "n_pairs")}
     found.add("choices_sizes", [sizes | {"n": one.n_votes}], **part.keys)
-    found.facts["parts"].append(describe_prediction(part, table, one))
+    found.tell(**describe_prediction(part, table, one))
     frame = shares.sort_values("share", ascending=False, kind="stable")
     drawn = 100 * frame[["share", "low", "high"]]
     drawn["name"] = frame["metric"].map(format_name)
@@ -87,36 +84,34 @@ def _predict(found: Found, part: Part, table: Table, **_: object) -> Sequence[st
     says = {"subject": part.subject, "n": one.n_votes, **sizes}
     slug = parts.make_slug("choices", *part.place)
     found.draw("shares", slug, drawn, says=says, lines={"-": 50.0}, band=band)
-    return tuple(one.notes)
+    found.notes += one.notes
 
 
 def describe_prediction(part: Part, table: Table, found: Statistic) -> Row:
     """Decide which metrics may be said to predict the choices, and whether any predicts more than another."""
     from feel321.analysis.choices import CHANCE
 
-    shares = found.shares
     sizes = {"participant": found.n_participants, "recording": found.n_recordings}
     listed = sorted(found.to_frame().to_dict("records"), key=lambda row: -row["share"])
     clear = [row for row in listed if row["p_holm"] < parts.SIGNIFICANCE]
     right = [row for row in clear if row["share"] > CHANCE]
     told: Row = {
         "scale": part.scale, "subject": part.subject, "level": part.level * part.several,
-        "compared": len(found.differences), "estimable": not shares["p"].isna().all(), "n_metrics": len(shares),
-        "units": [format_count(size, name) for name, size in sizes.items()],
+        "compared": len(found.differences), "estimable": not found.shares["p"].isna().all(),
+        "n_metrics": len(listed), "units": [format_count(size, name) for name, size in sizes.items()],
         "few": [format_count(size, name) for name, size in sizes.items() if size < FEW],
         "others": found.others, "highest": listed[0], "right": right,
         "wrong": [row for row in clear if row["share"] < CHANCE], "worse": [], "without": [],
     }  # fmt: skip
-    if not right:
-        return told
-    best = right[0]["metric"]
-    for row in found.differences.to_dict("records"):
-        larger, smaller = row["first"], row["second"]
-        if row["difference"] < 0:
-            larger, smaller = smaller, larger
-        if row["p_holm"] < parts.SIGNIFICANCE and larger == best:
-            told["worse"].append(smaller)
-    return told | {"without": list(_find_turns(table, best, list(shares.index)))}
+    if right:
+        best = right[0]["metric"]
+        for row in found.differences.to_dict("records"):
+            pair = [row["first"], row["second"]]
+            larger, smaller = pair if row["difference"] >= 0 else reversed(pair)
+            if row["p_holm"] < parts.SIGNIFICANCE and larger == best:
+                told["worse"].append(smaller)
+        told["without"] = list(_find_turns(table, best, list(found.shares.index)))
+    return told
 
 
 def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[str]:
@@ -129,19 +124,16 @@ def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[s
     both = [_map_stimuli(table, name, "reducer") for name in (STIMULUS, OTHER)]
     tested = sorted(stimuli.loc[stimuli[ROLE] == TEST, "reducer"].unique())
     for name in (name for name in tested if any((ids == name).any() for ids in both)):
-        rest = rows[(both[0] != name) & (both[1] != name)]
+        rest = replace(table, rows=rows[(both[0] != name) & (both[1] != name)])
         try:
-            left = predict(gather_votes(replace(table, rows=rest), metrics=metrics)).shares
+            left = predict(gather_votes(rest, metrics)).shares.loc[metric]
         except ValueError:
             continue
-        own = left.loc[metric]
-        if not (own["p_holm"] < parts.SIGNIFICANCE and own["share"] > CHANCE):
+        if not (left["p_holm"] < parts.SIGNIFICANCE and left["share"] > CHANCE):
             yield name
 
 
-def _scale(
-    found: Found, part: Part, table: Table, *, draws: int, rng: np.random.Generator
-) -> Sequence[str]:
+def _scale(found: Found, part: Part, table: Table, *, draws: int, rng: np.random.Generator) -> None:
     """Scale the reducers by Bradley-Terry; shrunken and without intervals where one always won or lost."""
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
 
@@ -149,7 +141,7 @@ def _scale(
     if len(votes["reference_reducer"].unique()) > 1:
         votes = votes[votes["matched"]]  # likeness to one reference is no likeness to another
     if table.stimuli is None or votes.empty:
-        return ()
+        return
     first, second = (votes[name].map(table.stimuli["reducer"]) for name in (STIMULUS, OTHER))
     winner = first.where(votes["rating"] == HIGHEST, second)
     pairs = votes[["participant"]].assign(first=first, second=second, winner=winner)
@@ -167,7 +159,7 @@ def _scale(
             share = float((winner[met] == row["item"]).mean())
             record = row | {"share": share, "n": int(met.sum())}
             found.add("choices_abilities", [record], **part.keys)
-    return tuple(fit.notes)
+    found.notes += fit.notes
 
 
 # ABX trials: how well what a reducer made is distinguished from its reference.
@@ -175,32 +167,24 @@ def _scale(
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
-    from pandas import DataFrame
+    from feel321.analysis.contrasts.told_apart import discriminate
 
-    from feel321.analysis.contrasts.told_apart import discriminate_pairs
-
-    found = Found(key="discrimination")
-    rows = table.rows[(table.rows["scale"] == ANSWERED) & (table.rows["role"] != "reference")]
-    right = rows["rating"] == HIGHEST
-    trials = rows.assign(first=rows["reducer"], second="reference", correct=right)
-    records: list[Row] = []
-    for (level, reducer), part in trials.groupby(["level", "reducer"], observed=True):
-        one = discriminate_pairs(part)[None]
-        records.append({**one, "level": level, "reducer": reducer})
-        found.notes += [f"ABX, {reducer}, {level}: {note}" for note in one.notes]
-    if not records:
+    found, frame = Found(key="discrimination"), discriminate(table)
+    if frame.empty:
         return found
-    for record, p in zip(records, adjust_holm([one["p"] for one in records]), strict=True):
-        record["p_holm"] = p
-    found.add("discrimination", records)
-    apart, n = sum(one["p_holm"] < parts.SIGNIFICANCE for one in records), len(records)
+    for one in frame.to_dict("records"):
+        found.notes += [f"ABX, {one['reducer']}, {one['level']}: {note}" for note in one["notes"]]
+    frame["p_holm"] = adjust_holm(frame["p"].tolist())
+    found.add("discrimination", frame)
+    apart, n = int((frame["p_holm"] < parts.SIGNIFICANCE).sum()), len(frame)
     found.facts = {"apart": apart, "n": n}
     for name, count in {"n_distinguished": apart, "n_compared": n}.items():
         found.rows["discrimination"].append(make_row(name, count, n=n))
     found.claim(**found.facts)
-    frame = DataFrame(records).rename(columns={"d_independent": "d"})
+    several = len(frame["level"].unique()) > 1
+    levels = frame["level"].map(format_level) if several else ""
     tried = frame["n_correct"].astype(str) + "/" + frame["n_trials"].astype(str)
-    frame["name"] = frame["reducer"] + " (" + frame["level"].map(format_name) + ") (" + tried + ")"
+    frame["name"] = frame["reducer"] + levels + " (" + tried + ")"
     found.draw("sensitivity", "discrimination", frame, says={})
     return found
 
@@ -212,7 +196,7 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
     """Compare dissimilarities from the original with those of identical pairs."""
     from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
 
-    found = Found(key="told_apart", facts={"parts": []})
+    found = Found(key="told_apart")
     rows = table.rows[table.rows["scale"] == PAIRED]
     several = len(rows["level"].unique()) > 1
     for level, part in rows.groupby("level", observed=True):
@@ -225,7 +209,7 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
         clear = (single["p_holm"] < parts.SIGNIFICANCE) & (single["difference"] > 0)
         apart, rest = (list(single.loc[which, "reducer"]) for which in (clear, ~clear))
         told = {"level": str(level) * several, "apart": apart, "n": len(single), "rest": rest}
-        found.facts["parts"].append(told)
+        found.tell(**told)
         found.claim(one=told)
     return found
 
@@ -240,44 +224,48 @@ def compute_space(table: Table, choices: Choices) -> Found:
     """Map the dissimilarities of every level."""
     from feel321.analysis import space as spaces
 
-    found = Found(key="space", facts={"parts": []})
+    found = Found(key="space")
     dissimilar = table.rows[table.rows["scale"] == PAIRED]
 
-    def fit(level: str) -> tuple[Any, Statistic, Sequence[float]]:
+    def fit(rows: DataFrame, level: str) -> tuple[Any, Statistic, Sequence[float]]:
         rng, draws = choices.make_rng("space", level), min(DRAWS, max(choices.draws, 3))
-        names, matrices = spaces.gather_dissimilarities(dissimilar[dissimilar["level"] == level])
-        ellipses = spaces.bootstrap_space(matrices, draws=draws, rng=rng)
+        names, matrices = spaces.gather_dissimilarities(rows)
+        space = spaces.fit_space(matrices, draws=draws, rng=rng)
         rng = choices.make_rng("space", level, "stress")
-        return names, ellipses, spaces.stress_by_dimension(matrices, rng=rng)
+        return names, space, spaces.stress_by_dimension(matrices, rng=rng)
 
     for level in sorted(dissimilar["level"].unique()):
-        mapped = found.attempt(f"{PAIRED}, {level}: no map.", fit, level)
+        rows, lead = dissimilar[dissimilar["level"] == level], f"{PAIRED}, {level}"
+        mapped = found.attempt(f"{lead}: no map.", fit, rows, level)
         if mapped is None:
             continue
-        names, ellipses, stress = mapped
-        found.draw("map", parts.make_slug("space", level), ellipses, names, says={"level": level})
+        names, space, stress = mapped
+        found.draw("map", parts.make_slug("space", level), space, names, says={"level": level})
         keys: Row = {"level": level, "n": len(names)}
-        found.add("space", _list_places(names, ellipses.space, ellipses), **keys)
+        places = pd.DataFrame(space.positions, columns=["x", "y"])
+        places[["half_axis_1", "half_axis_2"]] = space.ellipses.half_axes
+        found.add("space", places.assign(reducer=names, angle=space.ellipses.angle), **keys)
         sizes = ({"dimensions": n, "stress": value} for n, value in enumerate(stress, start=1))
         found.add("space_stress", sizes, **keys)
-        lead = f"{PAIRED}, {level}: the map is compared with nothing else."
-        one = found.attempt(lead, _relate, table, ellipses, names, level=level, choices=choices)
+        why = f"{lead}: the map is compared with nothing else."
+        one = found.attempt(why, _relate, table, space, names, level=level, choices=choices)
         if one is not None:
-            note = f"{one.permutations} pairings"
-            found.add("space_metrics", [one], note=note, **keys)
+            found.add("space_metrics", [one], note=f"{one.permutations} pairings", **keys)
             shown = one.p < parts.SIGNIFICANCE
             told = {"level": level, "r": one.correlation, "p": one.p, "shown": shown}
-            found.facts["parts"].append(told)
+            found.tell(**told)
             found.claim(one=told)
-        lead = f"{PAIRED}, {level}: axes are not compared with attributes."
-        own = dissimilar[dissimilar["level"] == level]
-        rows = found.attempt(lead, _regress, found, table, own, level=level, choices=choices)
-        found.add("space_attributes", rows or [], level=level)
+        why = f"{lead}: axes are not compared with attributes."
+        regressed = found.attempt(why, _regress, table, rows, level=level, choices=choices)
+        if regressed is not None:
+            attributes, notes = regressed
+            found.notes += [f"{lead}: {note}" for note in notes]
+            found.add("space_attributes", attributes, level=level)
     return found
 
 
 def _relate(
-    table: Table, ellipses: Statistic, names: Sequence[str], *, level: str, choices: Choices
+    table: Table, space: Statistic, names: Sequence[str], *, level: str, choices: Choices
 ) -> Statistic:
     """Compare the map with the metrics of its stimuli."""
     from feel321.analysis.space import align_spaces
@@ -290,56 +278,34 @@ def _relate(
     metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
     rng = choices.make_rng("space", level, "procrustes")
-    places = ellipses.space.positions[known]
+    places = space.positions[known]
     return align_spaces(places, scaled, permutations=choices.draws, rng=rng)
 
 
 def _regress(
-    found: Found, table: Table, rows: DataFrame, *, level: str, choices: Choices
-) -> list[Row]:
-    """Regress the attributes of stimuli on the axes of the recordings' maps."""
-    from feel321.analysis.space import gather_points, regress_points
+    table: Table, rows: DataFrame, *, level: str, choices: Choices
+) -> tuple[list[Row], list[str]]:
+    """Regress the attributes of stimuli on the axes of the recordings' maps; also note on how little that rests.
+
+    p are adjusted over the metrics that were planned, and over the others; of those that could be small at all.
+    """
+    from feel321.analysis.space import ENOUGH, gather_points, regress_points
 
     rng, draws = choices.make_rng("space", level, "attributes"), min(choices.draws, 1000)
     places, known = gather_points(rows, table.stimuli, rng=rng)
-    attributes: list[Row] = regress_points(places, known, draws=draws, rng=rng)
-    _adjust(attributes, table.metrics)
-    found.notes += [f"{PAIRED}, {level}: {note}" for note in _note_points(places, attributes)]
-    return attributes
-
-
-def _list_places(
-    names: Sequence[str], space: Statistic, ellipses: Statistic | None
-) -> Iterator[Row]:
-    """List the places on a map, with their ellipses where these were drawn."""
-    for number, (name, (x, y)) in enumerate(zip(names, space.positions, strict=True)):
-        row = {"reducer": name, "x": x, "y": y}
-        if ellipses:
-            row["half_axis_1"], row["half_axis_2"] = ellipses.half_axes[number]
-            row["angle"] = ellipses.angle[number]
-        yield row
-
-
-def _adjust(rows: Sequence[Row], planned: Sequence[str]) -> None:
-    """Adjust p by Holm over the metrics that were planned, and over the others; of those that could be small at all."""
-    for row in rows:
-        row["p_holm"] = np.nan
-    tested = [row for row in rows if row["p_least"] < parts.SIGNIFICANCE]
+    found: list[Row] = regress_points(places, known, draws=draws, rng=rng)
     for is_planned in (True, False):
-        own = [row for row in tested if (row["property"] in planned) == is_planned]
-        for row, p in zip(own, adjust_holm([row["p"] for row in own]), strict=True):
-            row["p_holm"] = p
-
-
-def _note_points(places: Values, rows: Sequence[Row]) -> Iterator[str]:
-    """Say on how little a regression of axes on attributes rests."""
-    from feel321.analysis.space import ENOUGH
-
-    recordings, n = places.shape[:2]
-    if mute := [row["property"] for row in rows if row["p_least"] >= parts.SIGNIFICANCE]:
-        yield f"permutations of {n} stimuli cannot show an association of the axes with {', '.join(mute)}."
-    if recordings * n < ENOUGH * len(rows):
-        yield (
-            f"{len(rows)} attributes are compared with {recordings * n} points ({n} stimuli in {recordings} "
+        group = [row for row in found if (row["property"] in table.metrics) == is_planned]
+        p = [row["p"] if row["p_least"] < parts.SIGNIFICANCE else np.nan for row in group]
+        for row, holm in zip(group, adjust_holm(p), strict=True):
+            row["p_holm"] = holm
+    (recordings, n), notes = places.shape[:2], []
+    if mute := [row["property"] for row in found if row["p_least"] >= parts.SIGNIFICANCE]:
+        told = f"permutations of {n} stimuli cannot show an association of the axes with"
+        notes.append(f"{told} {', '.join(mute)}.")
+    if recordings * n < ENOUGH * len(found):
+        notes.append(
+            f"{len(found)} attributes are compared with {recordings * n} points ({n} stimuli in {recordings} "
             f"recordings); {ENOUGH} for each are recommended: R² is descriptive only."
         )
+    return found, notes

@@ -1,23 +1,22 @@
-"""Sections on slopes within recordings: the primary model, and the model under other choices."""
+"""Sections on slopes within recordings: the primary model, and the same under other choices."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary import sensitivity
-from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, fit_slopes, tabulate_slopes
-from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE, make_cells
+from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, tabulate_slopes
+from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE
 from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
 from feel321.analysis.report import section as parts
-from feel321.analysis.report.section import Found, Row, make_row
+from feel321.analysis.report.section import Found, Row, read_ends
 from feel321.analysis.table.items import Part, split_tests
-from feel321.analysis.table.metrics import ROTATIONS
+from feel321.analysis.table.metrics import ROTATIONS, TENTH
 from feel321.analysis.table.schema import STAND_INS
-from feel321.analysis.words import INTERVALS, format_count
+from feel321.analysis.words import format_count
 
 if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
@@ -28,6 +27,8 @@ if TYPE_CHECKING:
     from feel321.types import MetricInfo
 
 HIGHER, LOWER = "higher", "lower"
+STEPPED = "tenth tenth_low tenth_high"
+"""Names of a slope per 0.1 and of its ends, which pages show per step."""
 
 BLANK: Row = {
     "verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False, "hinges_on": [],
@@ -36,97 +37,56 @@ BLANK: Row = {
 """The verdict on a metric without a slope."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Slope:
-    """A slope of the primary model: its row, the model, and what single units do to it."""
+class Analysis(NamedTuple):
+    """The model of a scale and level, what single units do to its slopes, and the steps and directions of metrics."""
 
-    row: Row
     part: Part
     model: Primary
     influence: Influence
-    step: Step
-    info: MetricInfo | None
-
-    @property
-    def metric(self) -> str:
-        """Name of the metric."""
-        return str(self.row["metric"])
+    steps: Mapping[str, Step]
+    info: Mapping[str, MetricInfo]
 
     @property
     def units(self) -> dict[str, int]:
         """How many participants, recordings (or the sources of them) and reducers it rests on."""
-        scene = SOURCE if self.model.n_sources < self.model.n_recordings else SCENE
-        reducers = {REDUCER: self.model.n_reducers} if self.model.n_reducers else {}
-        return {"participant": self.model.n_participants, scene: self.model.n_sources} | reducers
+        model = self.model
+        scene = SOURCE if model.n_sources < model.n_recordings else SCENE
+        reducers = {REDUCER: model.n_reducers} if model.n_reducers else {}
+        return {"participant": model.n_participants, scene: model.n_sources} | reducers
 
-    @property
-    def hinges(self) -> list[Row]:
-        """Units without which a metric that predicts does not, or not in this direction."""
-        claimed = conclude(self.row["p_holm"]) == PREDICTS
-        turns = self.influence.find_turns(self.metric)
-        return list(turns.to_dict("records")) if claimed else []
-
-    def scale(self, row: Mapping[Any, Any]) -> dict[str, float]:
-        """Take an estimate per 0.1, with its ends, to one per step."""
-        names = {"value": "tenth", "low": "tenth_low", "high": "tenth_high"}
-        return {end: float(row[name]) * self.step.size / 0.1 for end, name in names.items()}
-
-    def conclude(self) -> Row:
-        """Conclude about it, as data: a program reads it, the templates put it into words."""
-        verdict = conclude(self.row["p_holm"])
-        expected = LOWER if self.info is not None and self.info.higher == "worse" else HIGHER
-        direction = ""
-        if verdict == PREDICTS:
-            direction = HIGHER if self.row["estimate"] > 0 else LOWER
-        hinges = [f"{row['kind']} {row['unit']}" for row in self.hinges]
-        least = FEWEST if verdict == NOT_ESTIMABLE else FEW
-        steady = verdict == PREDICTS and direction == expected and not hinges
-        pairs = self.model.differences.to_dict("records") if steady else []
-        better = [
-            str(row["second"] if row["first"] == self.metric else row["first"])
-            for row in pairs
-            if self.metric == find_better(row)
-        ]
-        level = sensitivity.judge_level(
-            self.model.level, self.row["p_holm"], self.row["plain_p_holm"]
-        )
-        return {
-            **self.part.keys, "metric": self.metric, "subject": self.part.subject, "ratings": self.part.ratings,
-            "verdict": verdict, "direction": direction, "higher": "better" if expected == HIGHER else "worse",
-            "opposite": verdict == PREDICTS and direction != expected, "hinges_on": hinges,
-            "better_than": better,
-            "few": [format_count(size, name) for name, size in self.units.items() if size < least],
-            "beyond_level": level,
-        }  # fmt: skip
-
-
-def find_better(row: Mapping[Any, Any]) -> str:
-    """Find which of two metrics has the stronger standardised slope, each in the direction that it declares."""
-    low, high = row["standardised_low"], row["standardised_high"]
-    if math.isnan(low) or low <= 0 <= high:
-        return ""
-    return str(row["first"] if low > 0 else row["second"])
+    def scale(self, row: Mapping[Any, Any], names: str = STEPPED, *, unit: float = TENTH) -> Row:
+        """Take an estimate of a metric, with its ends, to one per step."""
+        size = self.steps[str(row["metric"])].size / unit
+        return {end: float(one) * size for end, one in read_ends(row, names).items()}
 
 
 def compute(table: Table, choices: Choices) -> Found:
     """Fit the primary model of every scale and level."""
     found = Found(key="primary")
     models, losses = _fit(found, table, choices)
-    slopes = list(_gather_slopes(table, models))
-    found.verdicts = [one.conclude() for one in slopes]
+    steps = parts.find_table_steps(table) if models else {}
+    leads = {part.lead: model for part, model in models.items()}
+    slopes = tabulate_slopes(leads).to_dict("records") if models else []
+    told = []
+    for part, model in models.items():
+        others = [row["p"] for row in slopes if row["attribute"] != part.lead]
+        influence = sensitivity.measure_influence(part.rows, table.metrics, model, others=others)
+        analysis = Analysis(part, model, influence, steps, table.info)
+        rows = [row for row in slopes if row["attribute"] == part.lead]
+        verdicts = [conclude_slope(analysis, row) for row in rows]
+        found.verdicts += verdicts
+        _add_rows(found, analysis, rows)
+        findings = [
+            one | _describe_slope(analysis, row) for one, row in zip(verdicts, rows, strict=True)
+        ]
+        told.append(_describe_part(analysis, findings))
     for loss in losses:
-        told = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
-        found.verdicts += [told | {"metric": name} | BLANK for name in loss["metrics"]]
-    own = {part: [one for one in slopes if one.part is part] for part in models}
-    for part, mine in own.items():
-        _add_rows(found, part, mine)
-    found.rows["unbounded"] += _compare_unbounded(table, models, choices)
+        keys = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
+        found.verdicts += [keys | {"metric": name} | BLANK for name in loss["metrics"]]
     if found.verdicts:
-        described = [_describe_part(part, mine) for part, mine in own.items()]
-        found.facts = {"parts": described, "losses": losses, "verdicts": found.verdicts}
+        found.facts = {"parts": told, "losses": losses, "verdicts": found.verdicts}
     if models:
         drawn = {part.subject: model for part, model in models.items()}
-        steps = parts.find_table_steps(table)
         per = {step.per for step in steps.values()}
         says = {"per": per.pop() if len(per) == 1 else "step"}
         found.draw("slopes", "slopes", drawn, steps, says=says)
@@ -163,21 +123,6 @@ def _fit(found: Found, table: Table, choices: Choices) -> tuple[dict[Part, Prima
     return models, losses
 
 
-def _gather_slopes(table: Table, models: Mapping[Part, Primary]) -> Iterator[Slope]:
-    """Put every slope together with what single stimuli, recordings and reducers do to it."""
-    if not models:
-        return
-    steps = parts.find_table_steps(table)
-    slopes = tabulate_slopes({part.lead: model for part, model in models.items()})
-    for part, model in models.items():
-        own = slopes["attribute"] == part.lead
-        others = slopes.loc[~own, "p"].tolist()
-        influence = sensitivity.measure_influence(part.rows, table.metrics, model, others=others)
-        for row in slopes[own].to_dict("records"):
-            name = str(row["metric"])
-            yield Slope(row, part, model, influence, steps[name], table.info.get(name))
-
-
 def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primary:
     """Compare slopes each in the direction that its metric declares: one of which lower is better changes its sign."""
     signs = {
@@ -198,79 +143,110 @@ def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primar
     return model.replace(differences=type(model.differences)(rows))
 
 
-def _add_rows(found: Found, part: Part, slopes: Sequence[Slope]) -> None:
+def conclude_slope(analysis: Analysis, row: Row) -> Row:
+    """Conclude about a slope, as data: a program reads it, the templates put it into words."""
+    metric, verdict = str(row["metric"]), conclude(row["p_holm"])
+    info, model = analysis.info.get(metric), analysis.model
+    expected = LOWER if info is not None and info.higher == "worse" else HIGHER
+    direction = ""
+    if verdict == PREDICTS:
+        direction = HIGHER if row["estimate"] > 0 else LOWER
+    hinges = [f"{unit['kind']} {unit['unit']}" for unit in _find_hinges(analysis, row)]
+    least = FEWEST if verdict == NOT_ESTIMABLE else FEW
+    steady = verdict == PREDICTS and direction == expected and not hinges
+    pairs = model.differences.to_dict("records") if steady else []
+    return {
+        **analysis.part.keys, "metric": metric, "subject": analysis.part.subject, "ratings": analysis.part.ratings,
+        "verdict": verdict, "direction": direction, "higher": "better" if expected == HIGHER else "worse",
+        "opposite": verdict == PREDICTS and direction != expected, "hinges_on": hinges,
+        "better_than": [
+            str(pair["second"] if pair["first"] == metric else pair["first"])
+            for pair in pairs if metric == find_better(pair)
+        ],
+        "few": [format_count(size, name) for name, size in analysis.units.items() if size < least],
+        "beyond_level": sensitivity.judge_level(model.level, row["p_holm"], row["plain_p_holm"]),
+    }  # fmt: skip
+
+
+def _find_hinges(analysis: Analysis, row: Row) -> list[Row]:
+    """Find the units without which a metric that predicts does not, or not in this direction."""
+    claimed = conclude(row["p_holm"]) == PREDICTS
+    turns = analysis.influence.find_turns(str(row["metric"]))
+    return list(turns.to_dict("records")) if claimed else []
+
+
+def find_better(row: Mapping[Any, Any]) -> str:
+    """Find which of two metrics has the stronger standardised slope, each in the direction that it declares."""
+    low, high = row["standardised_low"], row["standardised_high"]
+    if math.isnan(low) or low <= 0 <= high:
+        return ""
+    return str(row["first"] if low > 0 else row["second"])
+
+
+def _add_rows(found: Found, analysis: Analysis, slopes: Sequence[Row]) -> None:
     """Add the rows of one model and its slopes; of units, first those that turn a verdict or move a slope."""
-    model, influence = slopes[0].model, slopes[0].influence
-    keys: Row = {**part.keys, "n": model.n_rows}
-    fit = {"fit": "singular" if model.fit.singular else "regular"}
-    found.add("models", [{**model, **fit}], **keys)
+    model, influence = analysis.model, analysis.influence
+    keys: Row = {**analysis.part.keys, "n": model.n_rows}
+    found.add("models", [{**model, "fit": "singular" if model.fit.singular else "regular"}], **keys)
     found.add("spreads", model.fit.variances, **keys)
     found.add("slope_differences", model.differences, **keys)
-    for one in slopes:
-        own, row, size = keys | {"metric": one.metric}, one.row, one.step.size
-        scaled = {name: row[name] * size for name in ("centred", "centred_low", "centred_high")}
-        if math.isfinite(row["plain"]):
-            scaled["plain"] = row["plain"] * size
-        kept = {name: value for name, value in row.items() if name != "plain"}
-        found.add(
-            "slopes", [kept | scaled | one.scale(row) | {"size": size, "per": one.step.per}], **own
+    for row in slopes:
+        metric = row["metric"]
+        own, step = keys | {"metric": metric}, analysis.steps[metric]
+        centred = analysis.scale(row, "centred centred_low centred_high", unit=1.0)
+        scaled = dict(
+            zip(("centred", "centred_low", "centred_high"), centred.values(), strict=True)
         )
-        if one.metric in model.between.index:
-            row = model.between.loc[one.metric].to_dict()
-            row |= {name: row[name] * size for name in ("estimate", "low", "high")}
-            found.add("slopes_between", [row], **own)
+        kept = {name: value for name, value in row.items() if name != "plain"}
+        if math.isfinite(row["plain"]):
+            scaled["plain"] = row["plain"] * step.size
+        about = {"size": step.size, "per": step.per}
+        found.add("slopes", [kept | scaled | analysis.scale(row) | about], **own)
+        if metric in model.between.index:
+            between = {**model.between.loc[metric], "metric": metric}
+            ends = analysis.scale(between, "estimate low high", unit=1.0)
+            found.add("slopes_between", [between | ends], **own)
         if not influence.table.empty:
-            units = influence.table[influence.table["metric"] == one.metric]
+            units = influence.table[influence.table["metric"] == metric]
             moving = units.sort_values("moves", ascending=False, kind="stable")
             for unit in moving.to_dict("records"):
                 verdict = str(unit["verdict"]).replace("_", " ")
-                found.add("influence", [{**unit, **one.scale(unit), "verdict": verdict}], **own)
+                found.add(
+                    "influence", [{**unit, **analysis.scale(unit), "verdict": verdict}], **own
+                )
     found.add("exceptions", influence.exceptions.reset_index(), **keys)
-
-
-BOUNDED = "spectral_match_bounded"
-UNBOUNDED = STAND_INS[BOUNDED]
-
-
-def _compare_unbounded(
-    table: Table, models: Mapping[Part, Primary], choices: Choices
-) -> Iterator[Row]:
-    """Give the paper's own spectral match, where the primary analysis uses the bounded one and both are there."""
-    from feel321.analysis.association.correlate import correlate
-
-    if BOUNDED not in table.metrics or UNBOUNDED not in table.further:
-        return
-    metrics = [UNBOUNDED if name == BOUNDED else name for name in table.metrics]
-    for part in (part for part, model in models.items() if model.slopes["estimable"].any()):
-        rng, method = choices.make_rng("paper", *part.place), "within_spearman"
-        ranks = correlate(part.rows, UNBOUNDED, method=method, draws=choices.draws, rng=rng)
-        cells = make_cells(part.rows, metrics)
-        item = sensitivity.find_candidates(cells, count=1)[0]
-        keys: Row = {**part.keys, "metric": UNBOUNDED}
-        ends: Row = {"low": ranks.low, "high": ranks.high, "interval": INTERVALS["two-way"]}
-        yield make_row("ranks", ranks.value, n=ranks.n_items, **ends, **keys)
-        for quantity, some in (("slope", cells), ("slope_without", cells.leave_out("item", item))):
-            row = fit_slopes(some).table.loc[UNBOUNDED]
-            ends = {"low": row["tenth_low"], "high": row["tenth_high"], "n": len(some.table)}
-            yield make_row(
-                quantity, row["tenth"], interval=INTERVALS["satterthwaite"], **ends, **keys
-            )
-        yield make_row("stimulus", item, **keys)
 
 
 # Facts for the words.
 
 
-def _describe_part(part: Part, slopes: Sequence[Slope]) -> Row:
+def _describe_slope(analysis: Analysis, row: Row) -> Row:
+    """Gather what the template says of a slope beyond its verdict."""
+
+    def describe(unit: Mapping[Any, Any]) -> Row:
+        direction = HIGHER if unit["tenth"] > 0 else LOWER
+        named = {"name": f"{unit['kind']} {unit['unit']}", "verdict": unit["verdict"]}
+        return named | {"direction": direction, "step": analysis.scale(unit)}
+
+    metric, hinges = str(row["metric"]), _find_hinges(analysis, row)
+    moves = analysis.influence.find_moves(metric).to_dict("records")
+    moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
+    return {
+        "quartile": read_ends(row, "quartile_effect quartile_low quartile_high"), "p": row["p_holm"],
+        "step": analysis.scale(row), "per": analysis.steps[metric].per,
+        "hinges": list(map(describe, hinges)), "moves": [] if hinges else moved,
+    }  # fmt: skip
+
+
+def _describe_part(analysis: Analysis, findings: Sequence[Row]) -> Row:
     """Gather what the template says of one scale and level."""
-    model, influence = slopes[0].model, slopes[0].influence
-    findings = [_describe_slope(one) for one in slopes]
+    part, model, influence = analysis.part, analysis.model, analysis.influence
     kinds: list[str] = []
     if not influence.table.empty:
         tried = influence.table["verdict"] != NOT_ESTIMABLE
         kinds = list(influence.table.loc[tried, "kind"].unique())
     spreads: list[str] = []
-    for name in (one.metric for one in slopes if one.metric in ROTATIONS):
+    for name in (one["metric"] for one in findings if one["metric"] in ROTATIONS):
         from feel321.analysis.replication import explain_spread
 
         spreads.append(explain_spread(part.rows, name))
@@ -280,25 +256,10 @@ def _describe_part(part: Part, slopes: Sequence[Slope]) -> Row:
         "blank": all(one["verdict"] == NOT_ESTIMABLE for one in findings),
         "comparisons": list(_compare_slopes(model, findings)),
         "exceptions": [row for row in odd if row["exceptional"]],
-        "spreads": [text for text in spreads if text],
-        "unbounded": any(one.metric == UNBOUNDED for one in slopes),
-        "sizes": slopes[0].units, "n_items": model.n_items, "n_recordings": model.n_recordings,
+        "spreads": list(filter(None, spreads)),
+        "unbounded": any(one["metric"] in STAND_INS.values() for one in findings),
+        "sizes": analysis.units, "n_items": model.n_items, "n_recordings": model.n_recordings,
         "level": model.level, "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
-    }  # fmt: skip
-
-
-def _describe_slope(one: Slope) -> Row:
-    def describe(unit: Mapping[Any, Any]) -> Row:
-        direction = HIGHER if unit["tenth"] > 0 else LOWER
-        named = {"name": f"{unit['kind']} {unit['unit']}", "verdict": unit["verdict"]}
-        return named | {"direction": direction, "step": one.scale(unit)}
-
-    row, moves = one.row, one.influence.find_moves(one.metric).to_dict("records")
-    quartile = {"value": row["quartile_effect"], "low": row["quartile_low"], "high": row["quartile_high"]}  # fmt: skip
-    moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
-    return one.conclude() | {
-        "quartile": quartile, "step": one.scale(row), "per": one.step.per, "p": row["p_holm"],
-        "hinges": [describe(unit) for unit in one.hinges], "moves": [] if one.hinges else moved,
     }  # fmt: skip
 
 
@@ -307,8 +268,7 @@ def _compare_slopes(model: Primary, findings: Sequence[Row]) -> Iterator[Row]:
     by_metric = {one["metric"]: one for one in findings}
     for row in model.differences.to_dict("records"):
         pair = [by_metric[str(row["first"])], by_metric[str(row["second"])]]
-        names = {"value": "estimate", "low": "low", "high": "high"}
-        ends = {end: row[f"standardised_{name}"] for end, name in names.items()}
+        ends = read_ends(row, "standardised_estimate standardised_low standardised_high")
         if math.isnan(ends["low"]) or NOT_ESTIMABLE in {one["verdict"] for one in pair}:
             continue
         better = find_better(row)
@@ -360,9 +320,13 @@ def find_turned(rows: Sequence[Row]) -> list[Row]:
     def sign(row: Row) -> int:
         return int(row["low"] > 0) - int(row["high"] < 0)
 
-    def place(row: Row) -> tuple[str, str, str]:
-        return row["scale"], row["level"], row["metric"]
-
     own = [row for row in rows if row["quantity"] == "standardised"]
-    whole = {place(row): sign(row) for row in own if row["variant"] == "primary"}
-    return [row for row in own if math.isfinite(row["low"]) and sign(row) != whole[place(row)]]
+    keys = ("scale", "level", "metric")
+    primary = {
+        tuple(row[key] for key in keys): sign(row) for row in own if row["variant"] == "primary"
+    }
+    return [
+        row
+        for row in own
+        if math.isfinite(row["low"]) and sign(row) != primary[tuple(row[key] for key in keys)]
+    ]

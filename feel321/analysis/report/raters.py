@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.consistency import rater_model
 from feel321.analysis.primary.model import adjust_holm, fit_slopes
@@ -14,7 +15,7 @@ from feel321.analysis.primary.sensitivity import conclude, list_changes
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.screening import RULES, screen_raters
-from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
+from feel321.analysis.table.items import Part, recast_pairs, split_arms
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import format_name
 from feel321.names import MATCHES
@@ -37,14 +38,9 @@ GROUPS = {
 }
 """Groups of raters that the primary slopes are fitted to -> what they are called."""
 
-Flagged = dict[str, list[Hashable]]
-"""Group -> whom it leaves out."""
-
 
 def compute(table: Table, choices: Choices) -> Found:
     """Screen raters, measure their agreement, and repeat the primary analysis without those flagged."""
-    from pandas import concat
-
     found, rows = Found(key="raters"), recast_pairs(table.rows)
     single = rows[~rows["scale"].isin(APART) & (rows["role"] != PAIR)]
     if single.empty:
@@ -54,39 +50,35 @@ def compute(table: Table, choices: Choices) -> Found:
     found.notes += screening.notes
     standard = [rule for rule in screening.rules if RULES[rule].source.startswith("ITU-R")]
     rules = {EVERYONE: (), STANDARD: standard, ANY: screening.rules}
-    flagged: Flagged = {
+    flagged: dict[str, list[Hashable]] = {
         group: sorted({who for rule in own for who in screening.hits[rule]}, key=str)
         for group, own in rules.items()
     }
-    _add_screening(found, screening, flagged)
-    models, drawn, levels = [], [], set()
-    for part in split_arms(single):  # hidden references and anchors included
-        model = found.attempt(f"{part.lead}, rater model: none.", rater_model, part.rows)
-        if model is not None:
-            found.notes += [f"{part.lead}, rater model: {note}" for note in model.notes]
-            levels.add(part.level)
-            models.append(_describe_model(part, model))
-            drawn.append(_add_model(found, part, model).assign(series=part.subject))
-    slopes = conclude_panels(list(_vary(table, flagged, choices)))
+    _add_screening(found, screening)
+    n_raters = screening.table["participant"].nunique()
+    for group, who in flagged.items():
+        row = make_row("n_flagged", len(who), n=n_raters, panel=group)
+        found.rows["screening_rules"].append(row)
+    _add_models(found, single, {str(who) for who in flagged[ANY]})
+    slopes = []
+    for part in parts.thin_parts(table, choices):
+        left_out = dict.fromkeys(map(tuple, flagged.values()))  # the same people once
+        fitted = {out: _fit_without(part, out, table.metrics) for out in left_out}
+        for group, who in flagged.items():
+            slopes += [{**row, "panel": group, **part.keys} for row in fitted[tuple(who)]]
+    slopes = conclude_panels(slopes)
     changes = list(list_changes(slopes))
     shares = screening.table.loc[screening.table["rule"].isin(standard), "share"]
-    where = [(row["metric"], row["scale"], row["level"] * (len(levels) > 1)) for row in changes]
-    found.facts = {
-        "flagged": len(flagged[ANY]), "by_standard": len(flagged[STANDARD]),
-        "n_raters": screening.table["participant"].nunique(), "applied": bool(shares.notna().any()),
-        "changes": list(map(list, dict.fromkeys(where))), "models": models,
+    several = len(single["level"].unique()) > 1
+    where = [(row["metric"], row["scale"], row["level"] * several) for row in changes]
+    found.facts |= {
+        "flagged": len(flagged[ANY]), "by_standard": len(flagged[STANDARD]), "n_raters": n_raters,
+        "applied": bool(shares.notna().any()), "changes": list(map(list, dict.fromkeys(where))),
         "rules": {
             rule: RULES[rule].says.format(limit=limit) for rule, limit in screening.limits.items()
         },
         "unflagged": [row for row in changes if row["panel"] == ANY],
     }  # fmt: skip
-    if drawn:
-        frame = concat(drawn)
-        frame["name"] = frame["participant"].astype(str)
-        hit = {str(who) for rule in screening.hits.values() for who in rule}
-        frame = frame.assign(filled=frame["name"].isin(hit)).sort_values("name", kind="stable")
-        found.draw("inconsistency", "raters", frame, says={})
-    found.rows["repeats"] += _list_repeats(table)
     steps = parts.find_table_steps(table)
     for row in slopes:
         share = steps[row["metric"]].size / 0.1
@@ -96,18 +88,7 @@ def compute(table: Table, choices: Choices) -> Found:
     return found
 
 
-def _list_repeats(table: Table) -> Iterator[Row]:
-    """Give the pooled standard deviation of a rater's repeated ratings of a stimulus."""
-    for part in split_tests(table):
-        cells = part.rows.groupby(["participant", "item"], observed=True)["rating"]
-        repeated = cells.transform("size") > 1
-        if n := int(repeated.sum()):
-            n_cells = part.rows[repeated].groupby(["participant", "item"], observed=True).ngroups
-            left = (part.rows["rating"] - cells.transform("mean"))[repeated]
-            yield make_row("sd", float(np.sqrt((left**2).sum() / (n - n_cells))), n=n, **part.keys)
-
-
-def _add_screening(found: Found, screening: Statistic, flagged: Flagged) -> None:
+def _add_screening(found: Found, screening: Statistic) -> None:
     for rule, hits in screening.hits.items():
         known = RULES[rule]
         share = screening.table.loc[screening.table["rule"] == rule, "share"]
@@ -117,28 +98,33 @@ def _add_screening(found: Found, screening: Statistic, flagged: Flagged) -> None
             "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()),
         }  # fmt: skip
         found.add("screening_rules", [texts])
-    everyone = screening.table["participant"].nunique()
-    for group, who in flagged.items():
-        row = make_row("n_flagged", len(who), n=everyone, panel=group)
-        found.rows["screening_rules"].append(row)
     names = {"without hits": GROUPS[ANY], "everyone": GROUPS[EVERYONE]}
     found.add("reliability", screening.panel.assign(panel=screening.panel["panel"].map(names)))
     found.add("screening", screening.table)
-    found.add("expertise", screening.gauge)
-    found.add("shapes", screening.stimuli)
 
 
-def _add_model(found: Found, part: Part, model: Statistic) -> DataFrame:
-    """Add the rows of a rater model; return a row per rater, to be drawn."""
-    frame: DataFrame = model.to_frame()
-    for name in ("bias", "inconsistency"):
-        half = NORMAL * frame[f"{name}_se"]
-        ends = {f"{name}_low": frame[name] - half, f"{name}_high": frame[name] + half}
-        frame = frame.assign(**ends)
-    found.add("rater_model", frame, **part.keys)
-    found.add("rater_model_fit", [model], n=model.n_ratings, **part.keys)
-    found.add("stimuli_of_raters", model.stimuli.reset_index(), **part.keys)
-    return frame
+def _add_models(found: Found, single: DataFrame, hit: set[str]) -> None:
+    """Fit the rater model to every scale and level, hidden references and anchors included."""
+    drawn = []
+    found.facts["models"] = models = list[Row]()
+    for part in split_arms(single):
+        model = found.attempt(f"{part.lead}, rater model: none.", rater_model, part.rows)
+        if model is None:
+            continue
+        found.notes += [f"{part.lead}, rater model: {note}" for note in model.notes]
+        frame: DataFrame = model.to_frame()
+        for name in ("bias", "inconsistency"):
+            half = NORMAL * frame[f"{name}_se"]
+            ends = {f"{name}_low": frame[name] - half, f"{name}_high": frame[name] + half}
+            frame = frame.assign(**ends)
+        found.add("rater_model", frame, **part.keys)
+        found.add("rater_model_fit", [model], n=model.n_ratings, **part.keys)
+        models.append(_describe_model(part, model))
+        drawn.append(frame.assign(series=part.subject, name=frame["participant"].astype(str)))
+    if drawn:
+        frame = pd.concat(drawn)
+        frame = frame.assign(filled=frame["name"].isin(hit)).sort_values("name", kind="stable")
+        found.draw("inconsistency", "raters", frame, says={})
 
 
 def _describe_model(part: Part, model: Statistic) -> Row:
@@ -161,21 +147,8 @@ def _describe_model(part: Part, model: Statistic) -> Row:
     }  # fmt: skip
 
 
-# The primary slopes without flagged raters.
-
-
-def _vary(table: Table, flagged: Flagged, choices: Choices) -> Iterator[Row]:
-    """Fit each part without those whom each group leaves out; the same people are fitted once."""
-    for part in parts.thin_parts(table, choices):
-        fitted: dict[tuple[Hashable, ...], list[Row]] = {}
-        for group, who in flagged.items():
-            out = tuple(who)
-            if out not in fitted:
-                fitted[out] = _fit(part, out, table.metrics)
-            yield from ({**row, "panel": group, **part.keys} for row in fitted[out])
-
-
-def _fit(part: Part, out: Sequence[Hashable], metrics: Sequence[str]) -> list[Row]:
+def _fit_without(part: Part, out: Sequence[Hashable], metrics: Sequence[str]) -> list[Row]:
+    """Fit the primary slopes without flagged raters."""
     left = part.rows.loc[~part.rows["participant"].isin(out), "participant"].nunique()
     own: Row = {"n_people": left, "reason": ""}
     try:
@@ -215,26 +188,24 @@ def compute_delivered(table: Table, choices: Choices) -> Found:  # noqa: ARG001 
     items = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")
     matched, levels = [], []
     for name in names:
-        intended, delivered = (
-            items[column].to_numpy(np.float64) for column in (name, name + SUFFIX)
-        )
+        intended, delivered = items[name].astype(float), items[name + SUFFIX].astype(float)
         difference = delivered - intended
-        largest = int(np.argmax(np.abs(difference)))
+        stimulus = str(difference.abs().idxmax())
         matched.append({
             "metric": name, "n_stimuli": len(items), "intended": intended.mean(), "delivered": delivered.mean(),
-            "difference": difference.mean(), "largest": difference[largest], "stimulus": str(items.index[largest]),
+            "difference": difference.mean(), "largest": difference[stimulus], "stimulus": stimulus,
         })  # fmt: skip
     source = errors.get(SOURCE, errors["role"].mask(errors["role"] != "", ""))
     for name, part in errors.groupby(source.replace("", UNKNOWN), observed=True):
-        values = part[ERROR].to_numpy(np.float64)
-        low, middle, high = np.quantile(values, (0.05, 0.5, 0.95))
-        ends = {"median": middle, "q05": low, "q95": high}
-        ends["largest"] = values[int(np.argmax(np.abs(values)))]
-        levels.append({"source": str(name), "n_judgements": len(values), **ends})
+        values = part[ERROR].astype(float)
+        low, middle, high = values.quantile((0.05, 0.5, 0.95))
+        levels.append({
+            "source": str(name), "n_judgements": len(values), "median": middle, "q05": low, "q95": high,
+            "largest": max(values, key=abs),
+        })  # fmt: skip
     found.add("delivered", matched)
     found.add("level_errors", levels)
     found.facts = {"levels": levels, "matched": matched, "n": len(rows)}
     columns = ["reducer", *names, *(name + SUFFIX for name in names)]
-    values = errors[ERROR].to_numpy(np.float64) if levels else np.zeros(0)
-    found.draw("delivered", "delivered", items[columns], names, values, says={})
+    found.draw("delivered", "delivered", items[columns], names, errors.get(ERROR, ()), says={})
     return found

@@ -7,9 +7,11 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.contrasts import compare
+from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.primary.plan import make_cells
@@ -39,19 +41,21 @@ WAYS = {
 
 def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Average ratings per reducer."""
-    from feel321.analysis.figures.style import assign_looks
-
     found, single = Found(key="reducers"), table.rows[table.rows["role"] != PAIR]
-    told: list[Row] = []
-    found.facts["parts"] = told
     profile, people = compare.profile_reducers(single), compare.participant_means(single)
     if profile.empty:
         found.notes.append("Only pairs of two test stimuli were rated: no ratings per reducer.")
         return found
-    order, scales = order_reducers(profile[REDUCER]), list(single["scale"].unique())
-    listed = sorted(profile.to_dict("records"), key=lambda row: (
-        scales.index(row["scale"]), row["level"], ROLES.index(row["role"]), order.index(row[REDUCER]),
-    ))  # fmt: skip
+    ranks = {
+        "scale": list(single["scale"].unique()),
+        "role": ROLES,
+        REDUCER: order_reducers(profile[REDUCER]),
+    }
+    place = {name: {one: rank for rank, one in enumerate(order)} for name, order in ranks.items()}
+    keys = ["scale", "level", "role", REDUCER]
+    listed = profile.sort_values(
+        keys, key=lambda own: own.map(place[own.name]) if own.name in place else own, kind="stable"
+    )
     found.add("profiles", listed)
     found.add("participants", people, n=1)
     drawn = []
@@ -61,7 +65,7 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
             for frame in (profile, people)
         )
         drawn.append((part.subject, own, whose))
-        told.append({"subject": part.subject, **describe_extremes(own)})
+        found.tell(subject=part.subject, **describe_extremes(own))
     for slug, shown in parts.split_front("profile", drawn):
         roles = {role for _, rows, _ in shown for role in rows["role"]}
         apart = {"reference": "the hidden reference", "anchor": "anchors"}
@@ -83,10 +87,10 @@ def describe_extremes(profile: DataFrame) -> Row:
         return {"high": [], "low": [], "clear": False}
     high, low = (tests[means == end] for end in (means.max(), means.min()))
     known = not tests[["low", "high"]].isna().any(axis=None)
-    ways = WAYS.get(profile["scale"].iloc[0], ("highest", "lowest"))
     return {
         "high": list(high[REDUCER]), "low": list(low[REDUCER]), "top": means.max(), "bottom": means.min(),
-        "ways": ways, "clear": bool(known and high["low"].min() > low["high"].max()),
+        "ways": WAYS.get(profile["scale"].iloc[0], ("highest", "lowest")),
+        "clear": bool(known and high["low"].min() > low["high"].max()),
     }  # fmt: skip
 
 
@@ -95,8 +99,7 @@ def describe_extremes(profile: DataFrame) -> Row:
 
 def compute_contrasts(table: Table, choices: Choices) -> Found:
     """Compare every two reducers on every scale and level."""
-    found, margin, told = Found(key="contrasts"), choices.margin, list[Row]()
-    found.facts["parts"] = told
+    found, margin = Found(key="contrasts"), choices.margin
     # A person's reducers are so many effects.
     n_slopes = table.rows[REDUCER].nunique()
     for part in parts.thin_parts(table, choices, n_slopes=n_slopes, matched=False):
@@ -107,30 +110,23 @@ def compute_contrasts(table: Table, choices: Choices) -> Found:
             continue
         pairs, joint = compared
         found.add("contrasts", pairs, **part.keys)
-        differ, n = sum(pair["p_holm"] < parts.SIGNIFICANCE for pair in pairs), len(pairs)
-        joint |= {"n_differ": differ, "n_pairs": n}
+        frame = pd.DataFrame(pairs)
+        sizes = {"differ": int((frame["p_holm"] < parts.SIGNIFICANCE).sum()), "n_pairs": len(pairs)}
         people, scenes = part.rows["participant"].nunique(), find_sources(part.rows)
-        found.add("reducers_together", [joint], n=people, **part.keys)
-        same = [[pair["first"], pair["second"]] for pair in pairs if pair["equivalent"]]
-        told.append({
-            "subject": part.subject, "differ": differ, "n_pairs": n, "same": same,
-            "tested": margin is not None, "margin": margin,
-            "hint": describe_hint(part.rows) if differ or same else [],
-        })  # fmt: skip
-        tested = [
-            one | {"name": f"{one['first']} − {one['second']}", "filled": one["equivalent"]}
-            for one in pairs
-            if "limit" in one
-        ]
-        if tested and margin is not None:
-            from pandas import DataFrame
-
+        found.add("reducers_together", [joint | sizes], n=people, **part.keys)
+        same = frame.loc[frame["equivalent"], ["first", "second"]].to_numpy().tolist()
+        hint = describe_hint(part.rows) if sizes["differ"] or same else []
+        found.tell(subject=part.subject, same=same, margin=margin, hint=hint, **sizes)
+        if margin is not None and "limit" in frame:
+            tested = frame[frame["limit"].notna()]
+            names = tested["first"] + " − " + tested["second"]
+            tested = tested.assign(name=names, filled=tested["equivalent"])
             says = {
                 "ratings": part.ratings, "margin": margin, "people": people,
                 "recordings": format_recordings(len(scenes), scenes.nunique()),
             }  # fmt: skip
-            slug, frame = parts.make_slug("equivalence", *part.place), DataFrame(tested)
-            found.draw("equivalence", slug, frame, says=says, band=(-margin, margin))
+            slug = parts.make_slug("equivalence", *part.place)
+            found.draw("equivalence", slug, tested, says=says, band=(-margin, margin))
     return found
 
 
@@ -142,20 +138,22 @@ def compare_all(rows: DataFrame, margin: float | None) -> tuple[list[Row], Row]:
     fit, terms, n = compare.fit_reducers(rows, names)
     pairs: list[Row] = []
     for one, two in combinations(names, 2):
-        found = dict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
-        pairs.append({"first": one, "second": two, "n": n, **found})
-    for pair, holm in zip(pairs, adjust_holm([pair["p"] for pair in pairs]), strict=True):
-        numbers = pair["estimate"], pair["se"], pair["df"]
-        pair |= {"p_holm": holm, "p_equivalence": np.nan, "equivalent": False}
-        pair["low90"], pair["high90"] = compare.find_interval90(*numbers)
-        if margin is not None and 0 < pair["se"] < np.inf:
+        found: Row = {"first": one, "second": two, "n": n, "equivalent": False}
+        found |= dict(contrast(fit, {terms[one]: 1, terms[two]: -1}))
+        numbers = found["estimate"], found["se"], found["df"]
+        low90, high90 = compare.find_interval90(*numbers)
+        found |= {"low90": low90, "high90": high90, "p_equivalence": np.nan}
+        if margin is not None and 0 < found["se"] < np.inf:
             test = compare.equivalence(*numbers, low=-margin, high=margin)
-            worse = compare.non_inferiority(*numbers, margin=-margin).p
-            pair |= {
-                "p_equivalence": test.p, "equivalent": test.equivalent, "p_not_worse": worse, "limit": pair["low90"],
+            worse = test.p_low  # Higher is better: not worse than the second by the margin.
+            found |= {
+                "p_equivalence": test.p, "equivalent": bool(test.equivalent), "p_not_worse": worse, "limit": low90,
                 "told_equivalent": "yes" if test.equivalent else "not shown",
                 "told_not_worse": "yes" if worse < parts.SIGNIFICANCE else "not shown",
             }  # fmt: skip
+        pairs.append(found)
+    for pair, holm in zip(pairs, adjust_holm([pair["p"] for pair in pairs]), strict=True):
+        pair["p_holm"] = holm
     return pairs, dict(compare.compare_terms(fit, list(terms.values())))
 
 
@@ -225,8 +223,6 @@ def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> list[Row]:
 
 def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:
     """Average repeats, and centre each metric within recording and level."""
-    import pandas as pd
-
     tables, sources = [], find_sources(part)
     for level, arm in part.groupby("level", observed=True):
         keys = ["participant", "recording", "item"]

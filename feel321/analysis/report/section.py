@@ -2,8 +2,8 @@
 
 A row is one number: what it is (quantity), of what (scale, level, metric, ...), value, interval, p, n, and a note where
 it is a word. ``results.json``, ``tables/*.csv`` and both pages are those rows, filtered. A section is one function
-that decides, and one template, ``templates/words/KEY.j2``, that opens with TOML: its tables (which quantities a record
-holds, and how a page shows them) and its figures; then come the macros that hold its English.
+that decides, and one template, ``templates/words/KEY.j2``, that opens with TOML: its tables (quantities, and how a
+page shows them) and its figures; then come the macros that hold its English.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from feel321.analysis.page import TEMPLATES, render_words
-from feel321.analysis.table.dictionary import DICTIONARY
 from feel321.analysis.table.items import Part, find_sources, split_tests
 from feel321.analysis.table.metrics import Step, find_steps
 from feel321.analysis.words import INTERVALS, format_estimate, format_name, format_number
@@ -68,106 +67,97 @@ def find_row(rows: Iterable[Row], quantity: str, **keys: Any) -> Row | None:  # 
     return next((row for row in rows if all(row.get(key) == one for key, one in wanted)), None)
 
 
+def read_ends(record: Mapping[Any, Any], names: str = "value low high") -> dict[str, float]:
+    """Read an estimate and the ends of its interval by their names in a record, for the words."""
+    return {end: record[name] for end, name in zip(ENDS, names.split(), strict=False)}
+
+
 # What a template declares: tables and figures.
 
+RAW = frozenset({
+    "reducer", "second_reducer", "participant", "stimulus", "recording", "role", "unit", "group", "term",
+})  # fmt: skip
+"""Keys that a page shows as they are; those of all others are put into words."""
 
-class Column(NamedTuple):
-    """A column of a page's table: a quantity, its heading, how it is rounded, and how it was computed.
 
-    p: heading of a further column for its probability; kind "note": the row's words are shown.
+class Quantity(NamedTuple):
+    """A quantity of a table: of what names in a record its row is made, and how a page shows it, if it has a heading.
+
+    source: the names of value, low, high, p and note (a dash for none), and behind a bar the interval where it is
+    another than the table's; "?" before them where records may lack it; the quantity's own name if empty. kind: how it
+    is rounded; "note": the row's words are shown. p: heading of a further column for its probability.
     """
 
-    quantity: str
-    head: str
+    name: str
+    source: str = ""
+    head: str = ""
     kind: str = "correlation"
     meaning: str = ""
     p: str = ""
 
 
 class TableForm(NamedTuple):
-    """A table: the name of its file, how rows are made of a record, and how a page shows them; none without caption.
+    """A table: the name of its file, its quantities, and what a record's rows are of; on no page without caption.
 
-    rows: quantity -> names in a record of its value, low, high, p and note (a dash for none), and behind a bar the
-    interval where it is another than the table's; "?" where records may lack it. of: key of a row -> name in a record.
     keys: key of the rows -> heading; one that is the same throughout is left out where it is optional ("?" before the
-    heading). raw: keys that are shown as they are.
+    heading). of: key of a row -> name in a record.
     """
 
     name: str
     caption: str = ""
     keys: Mapping[str, str] = {}
-    columns: Sequence[Column] = ()
-    rows: Mapping[str, str] = {}
+    quantities: Sequence[Quantity] = ()
     of: Mapping[str, str] = {}
     interval: str = ""
-    raw: Sequence[str] = ("reducer", "second_reducer", "participant", "stimulus", "recording")
 
     def make_rows(self, records: Records, **fixed: Any) -> Iterator[Row]:  # noqa: ANN401 - keys, numbers
         """Make a row of every quantity of every record."""
         for record in records.to_dict("records") if hasattr(records, "to_dict") else records:
             own = {key: record[name] for key, name in self.of.items()}
-            for quantity, told in self.rows.items():
-                names, _, interval = told.removeprefix("?").partition(" | ")
-                ends = dict(zip((*ENDS, "note"), names.split(), strict=False))
-                if told.startswith("?") and ends["value"] not in record:
+            for quantity in self.quantities:
+                names, _, interval = (quantity.source or quantity.name).partition(" | ")
+                pairs = zip((*ENDS, "note"), names.removeprefix("?").split(), strict=False)
+                ends = {end: name for end, name in pairs if name != "-"}
+                if names.startswith("?") and ends["value"] not in record:
                     continue
                 interval = interval or self.interval
                 row = {"interval": INTERVALS.get(interval, interval), **fixed, **own}
-                row |= {end: record[name] for end, name in ends.items() if name != "-"}
-                yield make_row(quantity, **row)
+                yield make_row(quantity.name, **row | {end: record[ends[end]] for end in ends})
 
-
-@cache
-def read_declared(key: str) -> tuple[Mapping[str, TableForm], Mapping[str, Mapping[str, Any]]]:
-    """Read the tables and the figures of a section from the TOML that opens its template."""
-    head = (TEMPLATES / "words" / f"{key}.j2").read_text(encoding="utf-8").partition("#}")[0]
-    declared = tomllib.loads(head.partition("\n")[2])
-    figures = declared.pop("figures", {})
-    tables = {}
-    for name, one in declared.items():
-        for part in ("rows", "of"):  # names alone: those of the record
-            if isinstance(names := one.get(part, {}), list):
-                one[part] = dict(zip(names, names, strict=True))
-        one["columns"] = [Column(*column) for column in one.get("columns", ())]
-        tables[name] = TableForm(name, **one)
-    return tables, figures
-
-
-def show_table(form: TableForm, rows: Sequence[Row]) -> dict[str, Any]:
-    """Pivot rows: one line for each combination of keys, one column for each quantity, with interval and p beside."""
-    known = {column.quantity for column in form.columns}
-    rows = [row for row in rows if row["quantity"] in known]
-    keys = {
-        key: head.lstrip("?")
-        for key, head in form.keys.items()
-        if not head.startswith("?") or len({row.get(key, "") for row in rows}) > 1
-    }
-    lines: dict[tuple[str, ...], dict[str, Row]] = {}
-    for row in rows:
-        place = tuple(str(row.get(key, "")) for key in keys)
-        lines.setdefault(place, {})[row["quantity"]] = row
-    heads, texts = list(keys.values()), set(range(len(keys)))
-    shown: list[tuple[Column, str]] = []
-    for column in form.columns:
-        own = [line[column.quantity] for line in lines.values() if column.quantity in line]
-        if column.kind == "note":
-            texts.add(len(heads))
-        parts = {"value": column.head} if own else {}
-        if any(math.isfinite(row["low"]) for row in own):
-            is_90 = own[0]["interval"].startswith("90")
-            parts["interval"] = f"{'90' if is_90 else '95'} % interval"
-        if own and column.p:
-            parts["p"] = column.p
-        heads += parts.values()
-        shown += [(column, part) for part in parts]
-    body = [
-        (
-            *(name if key in form.raw else format_name(name) for key, name in zip(keys, place, strict=True)),
-            *(_show_cell(line.get(column.quantity), column.kind, part) for column, part in shown),
-        )
-        for place, line in lines.items()
-    ]  # fmt: skip
-    return {"name": form.name, "caption": form.caption, "head": heads, "rows": body, "texts": texts}
+    def show(self, rows: Sequence[Row]) -> dict[str, Any]:
+        """Pivot rows: one line for each combination of keys, one column for each quantity, interval and p beside."""
+        shown = {one.name: one for one in self.quantities if one.head}
+        rows = [row for row in rows if row["quantity"] in shown]
+        keys = [key for key, head in self.keys.items()
+                if not head.startswith("?") or len({row.get(key, "") for row in rows}) > 1]  # fmt: skip
+        lines: dict[tuple[str, ...], dict[str, Row]] = {}
+        for row in rows:
+            place = tuple(str(row.get(key, "")) for key in keys)
+            lines.setdefault(place, {})[row["quantity"]] = row
+        heads, texts = [self.keys[key].lstrip("?") for key in keys], set(range(len(keys)))
+        columns: list[tuple[Quantity, str]] = []
+        for quantity in shown.values():
+            own = [line[quantity.name] for line in lines.values() if quantity.name in line]
+            parts = {"value": quantity.head} if own else {}
+            if bounded := [row["interval"] for row in own if math.isfinite(row["low"])]:
+                parts["interval"] = f"{'90' if bounded[0].startswith('90') else '95'} % interval"
+            if own and quantity.p:
+                parts["p"] = quantity.p
+            texts |= {len(heads)} if quantity.kind == "note" else set()
+            heads += parts.values()
+            columns += [(quantity, part) for part in parts]
+        names = ([name if key in RAW else format_name(name) for key, name in zip(keys, place, strict=True)]
+                 for place in lines)  # fmt: skip
+        cells = ([_show_cell(line.get(quantity.name), quantity.kind, part) for quantity, part in columns]
+                 for line in lines.values())  # fmt: skip
+        body = [[*name, *cell] for name, cell in zip(names, cells, strict=True)]
+        return {
+            "name": self.name,
+            "caption": self.caption,
+            "head": heads,
+            "rows": body,
+            "texts": texts,
+        }
 
 
 def _show_cell(row: Row | None, kind: str, part: str) -> str:
@@ -179,46 +169,20 @@ def _show_cell(row: Row | None, kind: str, part: str) -> str:
     return value if part == "value" else interval
 
 
-MEANINGS = {
-    "quantity": "what the number is",
-    "value": "the number",
-    "low": "lower end of the interval",
-    "high": "upper end of the interval",
-    "p": "probability, adjusted where the quantity says so",
-    "n": "how many judgements, stimuli or participants it rests on",
-    "interval": "kind of interval",
-    "note": "a word in the place of a number, or what is unusual",
-    "status": "confirmatory or exploratory",
-}
-DESCRIBED = {
-    "file": "file that the column is in",
-    "column": "name of the column",
-    "quantity": "in the column value: the quantity that is described",
-    "type": "number, integer or text",
-    "meaning": "what the column holds",
-}
-"""The dictionary's own columns."""
-
-
-def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
-    """Describe every column and every quantity of every table."""
-    import pandas as pd
-
-    forms = {form.name: form for section in sections for form in section.tables.values()}
-    kinds = dict.fromkeys(ENDS, "number") | {"n": "integer"}
-    rows = []
-    for name, frame in frames.items():
-        form = forms.get(name, TableForm(name))
-        heads = {key: head.lstrip("?").lower() for key, head in form.keys.items()} | MEANINGS
-        known = {one.quantity: one.meaning for one in form.columns}
-        for column in map(str, frame):
-            meaning = heads.get(column, column.replace("_", " "))
-            rows.append([f"{name}.csv", column, "", kinds.get(column, "text"), meaning])
-        for quantity in frame["quantity"].unique():
-            meaning = known.get(quantity) or quantity.replace("_", " ")
-            rows.append([f"{name}.csv", "value", quantity, "number", meaning])
-    rows += [[DICTIONARY, column, "", "text", meaning] for column, meaning in DESCRIBED.items()]
-    return pd.DataFrame(rows, columns=list(DESCRIBED))
+@cache
+def read_declared(key: str) -> tuple[Mapping[str, TableForm], Mapping[str, Mapping[str, Any]]]:
+    """Read the tables and the figures of a section from the TOML that opens its template."""
+    head = (TEMPLATES / "words" / f"{key}.j2").read_text(encoding="utf-8").partition("#}")[0]
+    declared = tomllib.loads(head.partition("\n")[2])
+    figures = declared.pop("figures", {})
+    tables = {}
+    for name, own in declared.items():
+        one = {**declared.get(own.pop("like", ""), {}), **own}
+        if isinstance(names := one.get("of", {}), list):  # names alone: those of the record
+            one["of"] = dict(zip(names, names, strict=True))
+        one["quantities"] = [Quantity(*quantity) for quantity in one["quantities"]]
+        tables[name] = TableForm(name, **one)
+    return tables, figures
 
 
 # What a section finds.
@@ -294,6 +258,10 @@ class Found:
         (caption,) = render_words(self.key, figure, **says)
         self.pictures.append(Picture(slug, caption, draw, detail))
 
+    def tell(self, **facts: object) -> None:
+        """Add the facts of a part, such as a scale and level, for the words."""
+        self.facts.setdefault("parts", []).append(facts)
+
     def claim(self, **facts: object) -> None:
         """Add what the headline says, as the section's template puts it."""
         self.clauses += render_words(self.key, "clause", **facts)
@@ -313,9 +281,9 @@ class Found:
 class Section:
     """A section of the report, declared.
 
-    key: its name in paths, anchors and of its template. question: key of the question that it answers. place: where
-    its function is, which takes all ratings and the choices. scales: it is about these only; all if empty.
-    front: whether its first sentence stands on the first page.
+    key: its name in paths, anchors and of its template. question: key of the question that it answers. place: module
+    and function, which takes all ratings and the choices. scales: it is about these only; all if empty. front: whether
+    its first sentence stands on the first page.
     """
 
     key: str
@@ -335,7 +303,8 @@ class Section:
         if self.scales and not table.rows["scale"].isin(self.scales).any():
             return Found(key=self.key)
         module, _, name = self.place.partition(":")
-        found: Found = getattr(import_module(module), name)(table, choices)
+        compute = getattr(import_module(f"feel321.analysis.report.{module}"), name)
+        found: Found = compute(table, choices)
         return found
 
 

@@ -16,12 +16,12 @@ from feel321.analysis.association.correlate import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer
-from feel321.analysis.report import section as parts
 from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_files, write_folder
-from feel321.analysis.report.section import FIXED, Found, Row, Section, make_row
+from feel321.analysis.report.section import ENDS, FIXED, Found, Row, Section, TableForm, make_row
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening import RULES
+from feel321.analysis.table.dictionary import DICTIONARY
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
@@ -49,24 +49,27 @@ QUESTIONS: Mapping[str, str] = {
 }
 """Anchor of each question -> how it is put; sections name the one that they answer."""
 
-PLACE = "feel321.analysis.report"
 SECTIONS = (
-    Section("primary", "Change in rating with each metric, within recordings", "predict", f"{PLACE}.primary:compute"),
-    Section("metrics", "Correlations of mean ratings with metrics", "predict", f"{PLACE}.correlations:compute"),
-    Section("further", "Further metrics, explored", "predict", f"{PLACE}.correlations:compute_further", front=False),
-    Section("levels", "Level arms compared", "differ", f"{PLACE}.reducers:compute_levels"),
-    Section("reducers", "Ratings per reducer", "differ", f"{PLACE}.reducers:compute_profile"),
-    Section("contrasts", "Reducers against each other", "differ", f"{PLACE}.reducers:compute_contrasts"),
-    Section("choices", "Choices between two stimuli", "differ", f"{PLACE}.pairs:compute_choices", CHOSEN),
-    Section("discrimination", "Telling stimuli apart (ABX)", "apart", f"{PLACE}.pairs:compute_discrimination",
-            (ANSWERED,)),
-    Section("told_apart", "One axis against three", "apart", f"{PLACE}.pairs:compute_told_apart", (PAIRED,)),
-    Section("space", "The space of what was felt", "apart", f"{PLACE}.pairs:compute_space", (PAIRED,)),
-    Section("delivered", "Delivered vibration", "trust", f"{PLACE}.raters:compute_delivered"),
-    Section("raters", "Raters", "trust", f"{PLACE}.raters:compute"),
-    Section("robustness", "Robustness to other choices", "hinge", f"{PLACE}.primary:compute_robustness"),
+    Section("primary", "Change in rating with each metric, within recordings", "predict", "primary:compute"),
+    Section("metrics", "Correlations of mean ratings with metrics", "predict", "correlations:compute"),
+    Section("levels", "Level arms compared", "differ", "reducers:compute_levels"),
+    Section("reducers", "Ratings per reducer", "differ", "reducers:compute_profile"),
+    Section("contrasts", "Reducers against each other", "differ", "reducers:compute_contrasts"),
+    Section("choices", "Choices between two stimuli", "differ", "pairs:compute_choices", CHOSEN),
+    Section("discrimination", "Telling stimuli apart (ABX)", "apart", "pairs:compute_discrimination", (ANSWERED,)),
+    Section("told_apart", "One axis against three", "apart", "pairs:compute_told_apart", (PAIRED,)),
+    Section("space", "The space of what was felt", "apart", "pairs:compute_space", (PAIRED,)),
+    Section("delivered", "Delivered vibration", "trust", "raters:compute_delivered"),
+    Section("raters", "Raters", "trust", "raters:compute"),
+    Section("robustness", "Robustness to other choices", "hinge", "primary:compute_robustness"),
 )  # fmt: skip
 """The one list of a report's sections, by question."""
+
+PAPER = Section("paper", QUESTIONS["paper"], "paper", "answer:compute_paper")
+"""Of a replication, and first on its pages; it needs what the others found."""
+
+Everything = Mapping[Section, Found]
+"""What every section found, in the order of the pages."""
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -112,11 +115,8 @@ class Results(Result):
         """Return what ``results.json`` holds; a row has only the keys that its table has."""
         told = {name: getattr(self, name) for name in self.__dataclass_fields__}
         del told["path"]
-        rows = [
-            row
-            for _, part in told.pop("numbers").groupby("table", sort=False)
-            for row in _tidy(part, ["table"]).to_dict("records")
-        ]
+        parts = told.pop("numbers").groupby("table", sort=False)
+        rows = [row for _, part in parts for row in _tidy(part, ["table"]).to_dict("records")]
         told |= {"standing": self.standing.to_dict(), "numbers": rows}
         content: dict[str, Any] = to_json_value({"schema_version": SCHEMA_VERSION, **told})
         return content
@@ -127,36 +127,6 @@ def _tidy(part: DataFrame, lead: Sequence[str] = ()) -> DataFrame:
     apart = {"table", "status", *FIXED}
     keys = [str(name) for name in part if name not in apart and part[name].notna().any()]
     return part[[*lead, "quantity", *keys, *FIXED[1:], "status"]]
-
-
-def describe_inputs(
-    given: Mapping[str, Path | DataFrame], *, table: Table, further: Further | None, choices: Choices
-) -> dict[str, str]:  # fmt: skip
-    """Describe everything that decides a report: files, choices and what was handed over, each with its digest."""
-
-    def digest(source: Path | DataFrame) -> str:
-        if isinstance(source, Path):
-            return hashlib.sha256(source.read_bytes()).hexdigest()
-        text = source.to_csv(float_format="%.17g", lineterminator="\n")
-        return hashlib.sha256(text.encode()).hexdigest()
-
-    told: dict[str, str] = {}
-    for role, source in given.items():
-        if not isinstance(source, Path):
-            told |= {role: "a table in memory", f"{role}_sha256": digest(source)}
-        elif source.is_file() or role != "participants":
-            told |= {role: source.name, f"{role}_sha256": digest(source)}
-    found = find_sources(table.rows)
-    if not found.is_unique:
-        told["sources"] = format_recordings(len(found), found.nunique())
-        told["sources_sha256"] = digest(found.to_frame())
-    if further is not None and not further.metrics.empty:
-        told["further_metrics"] = ", ".join(map(str, further.metrics))
-        told["further_metrics_sha256"] = digest(further.metrics.sort_index())
-    margin = "none" if choices.margin is None else str(choices.margin)
-    told |= {"metrics": ", ".join(table.metrics), "draws": str(choices.draws), "margin": margin}
-    told |= {"seed": str(choices.seed)}
-    return told
 
 
 def write_report(  # noqa: PLR0913 - every choice that changes a report has a name of its own
@@ -228,21 +198,20 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
     >>> results = analysis.write_report("ratings.csv", "manifest.csv", "report")  # doctest: +SKIP
     >>> print(results.headline)  # doctest: +SKIP
     """
-    chosen = Choices(draws=draws, margin=margin, seed=as_seed(rng))
+    chosen, about = Choices(draws=draws, margin=margin, seed=as_seed(rng)), about or About()
     check_target(target := as_path(folder, "folder"))
     choice = {"metrics": metrics, "sources": sources, "further": further, "info": info}
     with follow(progress or False, "report") as move:
         table, given = _open(ratings_path, manifest_path, **choice)
-        about = about or About()
         table = order_scales(table, about.protocols)
         inputs = describe_inputs(given, table=table, further=further, choices=chosen)
+        if paper is not None:
+            inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
         refuse_untested(table)
         with words.declaring(table.info):
             found = _compute(table, chosen, paper=paper, move=move)
-            if paper is not None:
-                inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
             announce("figures and pages")
-            results = gather_results(table, found, inputs=inputs, about=about, choices=chosen)
+            results = _gather_results(table, found, inputs=inputs, about=about, choices=chosen)
             _write(table, results, found=found, target=target)
     return replace(results, path=target)
 
@@ -282,14 +251,39 @@ def order_scales(table: Table, protocols: Sequence[str]) -> Table:
     return replace(table, rows=rows.loc[order].reset_index(drop=True))
 
 
-Everything = Mapping[Section, Found]
-"""What every section found, in the order of the pages."""
+def describe_inputs(
+    given: Mapping[str, Path | DataFrame], *, table: Table, further: Further | None, choices: Choices
+) -> dict[str, str]:  # fmt: skip
+    """Describe everything that decides a report: files, choices and what was handed over, each with its digest."""
+
+    def digest(source: Path | DataFrame) -> str:
+        if isinstance(source, Path):
+            return hashlib.sha256(source.read_bytes()).hexdigest()
+        text = source.to_csv(float_format="%.17g", lineterminator="\n")
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    told: dict[str, str] = {}
+    for role, source in given.items():
+        if not isinstance(source, Path):
+            told |= {role: "a table in memory", f"{role}_sha256": digest(source)}
+        elif source.is_file() or role != "participants":
+            told |= {role: source.name, f"{role}_sha256": digest(source)}
+    found = find_sources(table.rows)
+    if not found.is_unique:
+        told["sources"] = format_recordings(len(found), found.nunique())
+        told["sources_sha256"] = digest(found.to_frame())
+    if further is not None and not further.metrics.empty:
+        told["further_metrics"] = ", ".join(map(str, further.metrics))
+        told["further_metrics_sha256"] = digest(further.metrics.sort_index())
+    margin = "none" if choices.margin is None else str(choices.margin)
+    told |= {"metrics": ", ".join(table.metrics), "draws": str(choices.draws), "margin": margin}
+    return told | {"seed": str(choices.seed)}
 
 
 def _compute(
     table: Table, chosen: Choices, *, paper: Paper | None, move: Callable[[int, int], None]
 ) -> Everything:
-    """Compute section after section; the paper's questions, which need what others found, come first on the pages."""
+    """Compute section after section."""
     import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
     from threadpoolctl import threadpool_limits
 
@@ -303,38 +297,33 @@ def _compute(
             move(number, len(SECTIONS))
         by_key = {section.key: one for section, one in found.items()}
         if paper is not None:
-            from feel321.analysis.report.paper import compute
-
-            section = Section("paper", QUESTIONS["paper"], "paper", f"{PLACE}.paper:compute")
-            found = {section: compute(table, chosen, paper=paper, others=by_key), **found}
-    panels = by_key.get("metrics", Found()).facts.get("panels", ())
-    answer.reconcile(panels, [one for own in found.values() for one in own.verdicts])
+            own = answer.compute_paper(table, chosen, paper=paper, others=by_key)
+            found = {PAPER: own, **found}
     return found
 
 
 # What was found, as rows and words.
 
 
-def gather_results(
+def _gather_results(
     table: Table, found: Everything, *, inputs: Mapping[str, str], about: About, choices: Choices
 ) -> Results:
     """Gather what ``results.json`` holds."""
-    standing = about.standing
-    shown = {section: one for section, one in found.items() if not one.is_empty}
-    by_key = {section.key: one for section, one in found.items()}
 
     def mark(one: Row) -> Row:
-        status, reason = standing.judge(*(one[key] for key in answer.PLACE))
+        status, reason = about.standing.judge(*(one[key] for key in answer.PLACE))
         return {**one, "status": status, "reason": reason}
 
+    by_key = {section.key: one for section, one in found.items()}
+    shown = {key: one for key, one in by_key.items() if not one.is_empty}
+    answers = {key: render_words(key, **one.facts) for key, one in shown.items()}
     cards = [mark(card) for card in answer.make_cards(by_key)]
-    answers = {one.key: render_words(one.key, **shown[one].facts) for one in shown}
     first = [lines[0] for lines in answers.values() if lines]
     headline = (*first, "These ratings do not answer the question.")[0]
     if clauses := answer.list_clauses(cards, by_key):
         (headline,) = render_words("headline", clauses=clauses)
     pictures = [picture for one in found.values() for picture in one.pictures]
-    frame = make_frame(table, found.values(), standing)
+    frame = make_frame(table, found.values(), about.standing)
     return Results(
         headline=headline,
         verdicts=tuple(mark(one) for own in found.values() for one in own.verdicts),
@@ -342,23 +331,21 @@ def gather_results(
         numbers=frame,
         answers=answers,
         figures={picture.name: picture.caption for picture in pictures},
-        captions={
-            form.name: form.caption for one in shown for form in _list_shown(one, shown[one])
-        },
+        captions={form.name: form.caption for form in chain(*map(list_shown, found.items()))},
         notes=tuple(_gather_notes(table, found.values())),
-        how=tuple(
-            text for one in shown for text in render_words(one.key, "how", draws=choices.draws)
-        ),
+        how=tuple(chain(*(render_words(key, "how", draws=choices.draws) for key in shown))),
         files=list_files([one.name for one in pictures], frame["table"].unique(), (PAGE, DETAILS)),
         simulated=bool(table.rows["simulated"].any()),
         inputs=inputs,
         versions=list_versions(),
         about={"name": about.name, "date": about.date},
-        standing=standing,
+        standing=about.standing,
     )
 
 
-def _list_shown(section: Section, found: Found) -> list[parts.TableForm]:
+def list_shown(one: tuple[Section, Found]) -> list[TableForm]:
+    """List the tables of a section that a page shows."""
+    section, found = one
     forms = section.tables.values()
     return [form for form in forms if form.caption and found.rows.get(form.name)]
 
@@ -416,26 +403,19 @@ def _gather_notes(table: Table, found: Iterable[Found]) -> Iterator[str]:
 
 def _write(table: Table, results: Results, *, found: Everything, target: Path) -> None:
     """Draw the figures, and write pages, tables and ``results.json``."""
-    shown = [
-        {
-            "key": section.key, "title": section.title, "question": section.question, "front": section.front,
-            "lines": results.answers[section.key], "pictures": one.pictures,
-            "tables": [parts.show_table(form, one.rows[form.name]) for form in _list_shown(section, one)],
-            "confirmatory": sum(row["status"] == words.CONFIRMATORY for row in results.verdicts if one.verdicts),
-        }
-        for section, one in found.items() if section.key in results.answers
-    ]  # fmt: skip
-    blocks = [
-        {"key": key, "title": title, "sections": [one for one in shown if one["question"] == key]}
-        for key, title in QUESTIONS.items()
-    ]
-    common: dict[str, Any] = {
-        "results": results, "title": TITLE,
-        "sizes": {row["quantity"]: row["value"] for row in count_table(table)},
-    }  # fmt: skip
+    blocks: dict[str, list[Row]] = {question: [] for question in QUESTIONS}
+    for section, one in found.items():
+        if section.key in results.answers:
+            blocks[section.question].append({
+                "key": section.key, "title": section.title, "front": section.front,
+                "lines": results.answers[section.key], "pictures": one.pictures,
+                "tables": [form.show(one.rows[form.name]) for form in list_shown((section, one))],
+                "confirmatory": sum(row["status"] == words.CONFIRMATORY for row in results.verdicts if one.verdicts),
+            })  # fmt: skip
     pictures = [picture for one in found.values() for picture in one.pictures]
-    front: dict[str, Any] = {
-        "blocks": [block for block in blocks if block["sections"] and block["key"] != "computed"],
+    values: dict[str, Any] = {
+        "results": results, "title": TITLE, "questions": QUESTIONS, "blocks": blocks,
+        "sizes": {row["quantity"]: row["value"] for row in count_table(table)},
         "lead": next((one for one in pictures if one.name == "scatter"), None),
         "others": [text for one in found.values() for text in one.clauses],
     }  # fmt: skip
@@ -443,8 +423,50 @@ def _write(table: Table, results: Results, *, found: Everything, target: Path) -
     write_folder(
         target,
         results.to_dict(),
-        page=lambda drawings: render_template("report.html", drawings=drawings, **front, **common),
-        details=render_template("details.html", blocks=blocks, **common),
+        page=lambda drawings: render_template("report.html", drawings=drawings, **values),
+        details=render_template("details.html", **values),
         pictures=pictures,
-        tables=frames | {"dictionary": parts.describe_tables([*found], frames)},
+        tables=frames | {DICTIONARY.removesuffix(".csv"): describe_tables([*found], frames)},
     )
+
+
+MEANINGS = {
+    "quantity": "what the number is",
+    "value": "the number",
+    "low": "lower end of the interval",
+    "high": "upper end of the interval",
+    "p": "probability, adjusted where the quantity says so",
+    "n": "how many judgements, stimuli or participants it rests on",
+    "interval": "kind of interval",
+    "note": "a word in the place of a number, or what is unusual",
+    "status": "confirmatory or exploratory",
+}
+"""Columns of every table -> what they hold."""
+DESCRIBED = {
+    "file": "file that the column is in",
+    "column": "name of the column",
+    "quantity": "in the column value: the quantity that is described",
+    "type": "number, integer or text",
+    "meaning": "what the column holds",
+}
+"""The dictionary's own columns."""
+
+
+def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
+    """Describe every column and every quantity of every table."""
+    import pandas as pd
+
+    rows = [(DICTIONARY, column, "", "text", meaning) for column, meaning in DESCRIBED.items()]
+    forms = {form.name: form for section in sections for form in section.tables.values()}
+    kinds = dict.fromkeys(ENDS, "number") | {"n": "integer"}
+    for name, frame in frames.items():
+        form, file = forms.get(name, TableForm(name)), f"{name}.csv"
+        heads = {key: head.lstrip("?").lower() for key, head in form.keys.items()} | MEANINGS
+        known = {one.name: one.meaning for one in form.quantities}
+        for column in map(str, frame):
+            meaning = heads.get(column, column.replace("_", " "))
+            rows.append((file, column, "", kinds.get(column, "text"), meaning))
+        for quantity in frame["quantity"].unique():
+            meaning = known.get(quantity) or quantity.replace("_", " ")
+            rows.append((file, "value", quantity, "number", meaning))
+    return pd.DataFrame(rows, columns=list(DESCRIBED))

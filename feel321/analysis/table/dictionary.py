@@ -8,7 +8,6 @@ what they declare.
 from __future__ import annotations
 
 import csv
-import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
@@ -16,7 +15,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from feel321.analysis.table.metrics import ROTATIONS, describe_further, format_bounds
+from feel321.analysis.table.metrics import FURTHER, ROTATIONS, format_bounds
 from feel321.names import METRIC_INFO
 from feel321.types import MetricInfo
 
@@ -97,14 +96,12 @@ def _read_rows(file: str) -> tuple[Variable, ...]:
 
 def _find(file: str, column: str, info: Mapping[str, MetricInfo]) -> Iterator[Variable]:
     yield from (row for row in _read_rows(file) if fnmatch(column, row.column))
-    metrics, further = {**METRIC_INFO, **ROTATIONS, **info}, describe_further()
-    if one := metrics.get(column):
-        bounded = math.isfinite(one.low) or math.isfinite(one.high)
+    if one := {**METRIC_INFO, **ROTATIONS, **info}.get(column):
         better = "larger is better" if one.higher == "better" else "smaller is better"
-        bounds = format_bounds(one) if bounded else ""
-        yield Variable(file, column, "number", one.unit, bounds, f"metric: {one.label}; {better}")
-    if column in further:
-        yield Variable(file, column, "number", meaning=f"metric: {further[column]}")
+        told = f"metric: {one.label}; {better}"
+        yield Variable(file, column, "number", one.unit, format_bounds(one), told)
+    if column in FURTHER:
+        yield Variable(file, column, "number", meaning=f"metric: {FURTHER[column]}")
     base, _, end = column.rpartition("_")
     for one_of in _find(file, base, info) if end in DERIVED else ():
         meaning, allowed = DERIVED[end]

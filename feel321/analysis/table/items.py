@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
-
 OTHER = "other_id"  # Column of the second stimulus of a choice
 SPOKEN = ("stimulus", "item")  # Other names of the column `stimulus_id`
 ARMS = ("scale", "level")  # Columns of which one model or one correlation takes a single value
@@ -96,7 +95,7 @@ class Table(Result):
         Table
             The same metrics and notes, and fewer rows.
         """
-        return replace(self, rows=_choose(self.rows, scale, level).reset_index(drop=True))
+        return replace(self, rows=_choose(self.rows, scale, level))
 
     def items(self) -> DataFrame:
         """Average the ratings of every stimulus.
@@ -150,9 +149,8 @@ class Table(Result):
 
 def is_tidy(given: object) -> TypeGuard[Table | DataFrame]:
     """Tell whether these are ratings, one row per judgement, and not an array of them."""
-    return isinstance(given, Table) or {"participant", "rating"} <= set(
-        getattr(given, "columns", ())
-    )
+    columns = set(getattr(given, "columns", ()))
+    return isinstance(given, Table) or {"participant", "rating"} <= columns
 
 
 def as_votes(given: Table | ArrayLike) -> ArrayLike:
@@ -177,11 +175,11 @@ def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFr
 
 
 def _choose(rows: DataFrame, scale: str | None, level: str | None) -> DataFrame:
-    for column, name in (("scale", scale), ("level", level)):
+    for column, name in zip(ARMS, (scale, level), strict=True):
         if name is not None:
             known = rows[column].astype(str) if column in rows else rows.index.astype(str)[:0]
             rows = rows[known == check_name(name, sorted(known.unique()), column)]
-    return rows
+    return rows.reset_index(drop=True)
 
 
 def choose_arms(
@@ -235,17 +233,15 @@ def leave_rejected(
 
 def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     """Leave out hidden references and anchors: chosen to be far apart, they would inflate every slope."""
-    tested = ratings[ROLE] == TEST if ROLE in ratings else None
-    if tested is None or tested.all():
+    if ROLE not in ratings or (tested := ratings[ROLE] == TEST).all():
         return ratings, ()
-    n, what = (
-        int((~tested).sum()),
-        "of other stimuli than test stimuli (hidden references, anchors)",
-    )
+    n = int((~tested).sum())
     if n == len(ratings):
         raise ValueError(f"ratings must be of test stimuli, got no row with role 'test' among {n}")
-    note = f"{n} rating {what} is left out." if n == 1 else f"{n} ratings {what} are left out."
-    return ratings[tested], (note,)
+    left = (
+        f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli (hidden references, anchors)"
+    )
+    return ratings[tested], (f"{left} {'are' if n > 1 else 'is'} left out.",)
 
 
 def name_stimuli(ratings: DataFrame) -> DataFrame:
@@ -253,21 +249,21 @@ def name_stimuli(ratings: DataFrame) -> DataFrame:
     if STIMULUS in ratings:
         return ratings
     if {"recording", "reducer"} <= set(ratings):
-        keys = [name for name in NAMING if name in ratings]
-        names = ratings[keys[0]].astype(str)
-        for key in keys[1:]:
-            names = names + "/" + ratings[key].astype(str)
-        return ratings.assign(**{STIMULUS: names.where(ratings[keys].notna().all(axis=1))})
+        first, *others = (ratings[name] for name in NAMING if name in ratings)
+        names, known = first.astype(str), first.notna()
+        for one in others:
+            names, known = names + "/" + one.astype(str), known & one.notna()
+        return ratings.assign(**{STIMULUS: names.where(known)})
     spoken = next((name for name in SPOKEN if name in ratings), None)
     return ratings.assign(**{STIMULUS: ratings[spoken]}) if spoken else ratings
 
 
 def name_items(ratings: DataFrame) -> DataFrame:
     """Give a table the column ``item``, a stimulus, as models take it."""
-    if "item" in ratings:
-        return ratings
-    named = name_stimuli(ratings)
-    return named.assign(item=named[STIMULUS]) if STIMULUS in named else named
+    named = ratings if "item" in ratings else name_stimuli(ratings)
+    return (
+        named.assign(item=named[STIMULUS]) if "item" not in named and STIMULUS in named else named
+    )
 
 
 def open_tests(
@@ -372,10 +368,8 @@ def recast_pairs(rows: DataFrame) -> DataFrame:
     """Let a dissimilarity from the original be a rating of what was compared with it: 100 less the dissimilarity."""
     if ROLE not in rows or not (turned := (rows["scale"] == PAIRED) & (rows[ROLE] == TEST)).any():
         return rows
-    return rows.assign(
-        scale=rows["scale"].mask(turned, RECAST),
-        rating=rows["rating"].mask(turned, HIGHEST - rows["rating"]),
-    )
+    scale = rows["scale"].mask(turned, RECAST)
+    return rows.assign(scale=scale, rating=rows["rating"].mask(turned, HIGHEST - rows["rating"]))
 
 
 def find_sources(rows: Table | DataFrame) -> Series:

@@ -28,16 +28,23 @@ DECLARED = "manifest.json"
 
 TENTH = 0.1  # Step of a metric that is a share, such as a match from 0 to 1
 ROUNDING = 1e-9  # Share of a bound by which a value may pass it: files hold rounded numbers
-KINDS: Mapping[str, tuple[str, str]] = {
-    "rotation_mean": ("mean of the {} over random orientations of the sensor", ""),
-    "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", ""),
-    "delivered": ("{} of the signal as it was delivered", ""),
-    "energy_weighted": ("{} with frequencies weighted by their energy", "spectral_match"),
-    "invariant": ("counterpart of the {} that no orientation changes", "temporal_match"),
+KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "rotation_mean": ("mean of the {} over random orientations of the sensor", MATCHES),
+    "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", MATCHES),
+    "delivered": ("{} of the signal as it was delivered", MATCHES),
+    "energy_weighted": ("{} with frequencies weighted by their energy", ("spectral_match",)),
+    "invariant": ("counterpart of the {} that no orientation changes", ("temporal_match",)),
 }
-"""Suffix of a metric's name -> meaning, and the metrics that have it, all if none is named: per stimulus in the
-manifest, or per judgement in the ratings, where a stimulus has the mean over its judgements."""
+"""Suffix of a metric's name -> meaning, and the metrics that have it: per stimulus in the manifest, or per judgement in
+the ratings, where a stimulus has the mean over its judgements."""
 
+FURTHER: Mapping[str, str] = {
+    f"{metric}_{kind}": meaning.format(metric.replace("_", " "))
+    for metric in MATCHES
+    for kind, (meaning, of) in KINDS.items()
+    if metric in of
+}
+"""Column derived from a metric and explored beside those that were planned -> what it is."""
 
 _LABELS = {name: METRIC_INFO[name].label for name in MATCHES}
 ROTATIONS: Mapping[str, MetricInfo] = {
@@ -49,28 +56,21 @@ ROTATIONS: Mapping[str, MetricInfo] = {
 }
 """Rotation statistics (Park & Kuchenbecker 2019), computed by `analyze`; a study may declare them."""
 
-
-def describe_further() -> dict[str, str]:
-    """Say what the columns are that are derived from a metric and explored beside those that were planned."""
-    return {
-        f"{metric}_{kind}": meaning.format(metric.replace("_", " "))
-        for metric in MATCHES
-        for kind, (meaning, of) in KINDS.items()
-        if not of or metric in of.split()
-    }
+FILED = {"file", "sha256", "recording_sha256"}
+NOT_METRICS = {"stimulus_id", *schema.NAMING, "role", "source", *FILED}
 
 
 def describe_explored(metrics: Sequence[str]) -> dict[str, str]:
     """Say what the columns of metrics are that an analysis of other metrics explores."""
-    every = {name: METRIC_INFO[name].label for name in WRITTEN} | describe_further()
+    every = {name: METRIC_INFO[name].label for name in WRITTEN} | dict(FURTHER)
     return {name: meaning for name, meaning in every.items() if name not in metrics}
 
 
-def describe_manifest(metrics: Iterable[str] = ()) -> dict[str, schema.ColumnInfo]:
-    """List the columns that a manifest may have, with the metrics that are asked for."""
-    kind = schema.ColumnInfo("metric")
-    needed = {name: column for name, column in schema.MANIFEST.items() if column.needed}
-    return {**schema.MANIFEST, **dict.fromkeys([*describe_explored(()), *metrics], kind), **needed}
+def describe_manifest(metrics: Iterable[str] = ()) -> dict[str, str]:
+    """List the columns that a manifest may have and their kinds, with the metrics that are asked for."""
+    asked = dict.fromkeys([*describe_explored(()), *metrics], schema.METRIC)
+    needed = {name: schema.MANIFEST[name] for name in schema.NEEDED[1]}
+    return {**schema.MANIFEST, **asked, **needed}
 
 
 def list_numeric(cells: DataFrame) -> list[str]:
@@ -78,14 +78,11 @@ def list_numeric(cells: DataFrame) -> list[str]:
     import pandas as pd
 
     found = []
-    for name in (name for name in map(str, cells) if name not in schema.NOT_METRICS):
+    for name in (name for name in map(str, cells) if name not in NOT_METRICS):
         filled = cells.loc[cells[name] != "", name]
         share = pd.to_numeric(filled, errors="coerce").notna().mean() if len(filled) else 0
         found += [name] if share > schema.MOSTLY else []
     return found
-
-
-UNUSED = {name for name, column in schema.MANIFEST.items() if not column.used}
 
 
 def read_attributes(manifest: Path | DataFrame) -> DataFrame:
@@ -93,7 +90,8 @@ def read_attributes(manifest: Path | DataFrame) -> DataFrame:
     import pandas as pd
 
     cells = schema.read_cells(manifest).set_index("stimulus_id")
-    names = [name for name in list_numeric(cells) if name not in UNUSED | {schema.GAIN}]
+    out = {schema.GAIN} | {name for name, kind in schema.MANIFEST.items() if kind == schema.UNUSED}
+    names = [name for name in list_numeric(cells) if name not in out]
     numbers = {name: pd.to_numeric(cells[name], errors="coerce") for name in names}
     return pd.DataFrame(numbers, index=cells.index)
 
@@ -102,22 +100,18 @@ def gather_info(
     names: Collection[str], declared: Mapping[str, MetricInfo] | None, manifest: Path | DataFrame
 ) -> tuple[dict[str, MetricInfo], frozenset[str]]:
     """Find what each metric declares; also name those whose bounds a study or a manifest states."""
-    stated = {**_read_declared(manifest), **(declared or {})}
+    stated, path = {}, Path()
+    if isinstance(manifest, Path) and (path := manifest.with_name(DECLARED)).is_file():
+        try:
+            listed = json.loads(path.read_text(encoding="utf-8")).get("metrics", {})
+            stated = {str(name): make_info(str(name), facts) for name, facts in listed.items()}
+        except (AttributeError, RecursionError, TypeError, ValueError) as error:
+            must = f"'metrics' must describe metrics by name; {error}"
+            raise ValueError(f"{path.name}: {must}") from None
+    stated |= declared or {}
     known = {**METRIC_INFO, **ROTATIONS, **stated}
     found = {name: known.get(name, MetricInfo(name)) for name in names}
     return found, frozenset(name for name in names if name in stated)
-
-
-def _read_declared(manifest: Path | DataFrame) -> dict[str, MetricInfo]:
-    """Read what ``manifest.json`` beside a manifest says of its columns; nothing where there is none."""
-    path = manifest.with_name(DECLARED) if isinstance(manifest, Path) else None
-    if path is None or not path.is_file():
-        return {}
-    try:
-        listed = json.loads(path.read_text(encoding="utf-8")).get("metrics", {})
-        return {str(name): make_info(str(name), facts) for name, facts in listed.items()}
-    except (AttributeError, RecursionError, TypeError, ValueError) as error:
-        raise ValueError(f"{path.name}: 'metrics' must describe metrics by name; {error}") from None
 
 
 def make_info(name: str, facts: Mapping[str, object]) -> MetricInfo:
@@ -152,12 +146,12 @@ def refuse_unbounded(
 
 
 def format_bounds(info: MetricInfo) -> str:
-    """Write the range of a metric, such as "0 to 1"."""
+    """Write the range of a metric, such as "0 to 1"; nothing where it has none."""
     if math.isfinite(info.low + info.high):
         return f"{info.low:g} to {info.high:g}"
     if math.isfinite(info.high):
         return f"{info.high:g} or less"
-    return f"{info.low:g} or more" if math.isfinite(info.low) else "any number"
+    return f"{info.low:g} or more" if math.isfinite(info.low) else ""
 
 
 class Step(NamedTuple):

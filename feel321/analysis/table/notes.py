@@ -11,24 +11,22 @@ from feel321.analysis.table import schema
 from feel321.analysis.table.items import ROLE, STIMULUS, TEST
 from feel321.analysis.table.metrics import describe_explored
 from feel321.analysis.table.schema import shorten
-from feel321.names import REDUCER_NAMES
+from feel321.analysis.words import name_some
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-NAMED = 3  # How many names a note lists before it only counts
 SHORT = 10  # Points below which a scale's highest rating makes one doubt that it went to 100
 SPACE = "Where a map of the dissimilarities can be made, see The space of what was felt."
 
 
 def list_names(names: Sequence[str]) -> str:
     """List names for a note; of more than three, the others are counted."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return ", ".join(shorten(name) for name in names[:NAMED]) + more
+    return name_some([shorten(name) for name in names])
 
 
-def note_scales(sheet: DataFrame) -> Iterator[str]:
-    """Say which scales may have had other ends, and which were judged in several tasks."""
+def note_ratings(sheet: DataFrame) -> Iterator[str]:
+    """Say which scales may have had other ends or were judged in several tasks, and which playbacks were broken."""
     for scale, rows in sheet.groupby("scale"):
         name, low, high = shorten(str(scale)), rows["rating"].min(), rows["rating"].max()
         if low < high <= SHORT:
@@ -38,26 +36,11 @@ def note_scales(sheet: DataFrame) -> Iterator[str]:
         if len(tasks) > 1:
             listed = list_names(tasks)
             yield f"Scale {name} was judged in {len(tasks)} protocols, which are taken together: {listed}."
-
-
-def note_stimuli(sheet: DataFrame) -> Iterator[str]:
-    """Say by which gains stimuli were played, and what about them is odd."""
-    # Anchors are weaker where they would not fit the headroom; they are not what is compared.
-    as_is = sheet[(sheet["level"] == "as_is") & (sheet[ROLE] != "anchor")]
-    if schema.GAIN in sheet and as_is[schema.GAIN].notna().any():
-        low, high = as_is[schema.GAIN].min(), as_is[schema.GAIN].max()
-        one_each = as_is.groupby("recording")[schema.GAIN].nunique().max() == 1
-        scope, values = "gains", f"{low:.3g} to {high:.3g}"
-        if low == high:
-            scope, values = "one gain for the whole set", f"{low:.3g}"
-        elif one_each:
-            scope = "one gain per recording"
-        yield f"Stimuli as is were played with {scope}: {values} m/s² per m/s² recorded."
-    if schema.SENSATION in sheet and (weak := int((sheet[schema.SENSATION] < 0).sum())):
-        yield f"{weak} of {len(sheet)} stimuli were played below the detection threshold."
-    tests = sheet.loc[sheet[ROLE] == TEST, "reducer"]
-    if strangers := sorted(set(tests) - set(REDUCER_NAMES)):
-        yield f"Reducers unknown to feel321, analysed as named: {list_names(strangers)}."
+    broken = sheet.loc[sheet["underruns"] > 0, "participant"] if "underruns" in sheet else ()
+    if len(broken):
+        which = f"{len(broken)} judgements of {len(set(broken))} participants"
+        how = "they count; mark them as rejected to leave them out"
+        yield f"{which} were made on an interrupted playback (underruns): {how}."
 
 
 def note_sources(rows: DataFrame) -> Iterator[str]:
@@ -68,22 +51,19 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
     if sources == 1 < recordings:
         yield f"{start}: they are not independent, and the results do not extend to other sources."
     elif sources < recordings:
+        what = "they are not independent, and what is said of others rests on sources"
         draws = (
             "Two-way intervals draw them; mixed models hold what the recordings of a source share"
         )
-        what = "they are not independent, and what is said of others rests on sources"
         yield f"{start}: {what}. {draws}, as a whole and reducer by reducer."
 
 
 def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
-    """Say which stimuli nobody rated, which scales have no test stimulus, and which metrics some stimuli lack."""
-    apart, tests = rows["scale"].isin(schema.APART), rows[rows[ROLE] == TEST]
-    both = ("reference_id", "other_id")
-    rated = {*rows[STIMULUS].unique(), *(n for key in both for n in rows.loc[apart, key].unique())}
+    """Say which stimuli nobody rated, and which metrics some of those that were rated lack."""
+    apart, tests = rows[rows["scale"].isin(schema.APART)], rows[rows[ROLE] == TEST]
+    rated = {*rows[STIMULUS], *apart["reference_id"], *apart["other_id"]}
     if unrated := [str(name) for name in manifest.index if name not in rated]:
         yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {list_names(unrated)}."
-    for scale in sorted(set(rows["scale"]) - set(tests["scale"]) - set(schema.APART)):
-        yield f"Scale {shorten(scale)} was rated on references and anchors only: it has no association."
     for name in (name for name in describe_explored(metrics) if name in rows):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
         if len(lacking):
@@ -131,14 +111,3 @@ def note_apart(rows: DataFrame) -> Iterator[str]:
                 "the dissimilarity itself every slope and every correlation has the opposite sign. The other "
                 f"{n - turned} (two reductions, identical pairs, anchors) enter none of them. {SPACE}"
             )
-
-
-def note_gains(rows: DataFrame) -> Iterator[str]:
-    """Note judgements beside the real surface of stimuli that are not as strong as they were recorded."""
-    rows = rows[rows[ROLE] != "anchor"]
-    gains = rows[schema.GAIN].dropna() if schema.GAIN in rows else rows["rating"].iloc[:0]
-    if (gains != 1).any():
-        span = " to ".join(dict.fromkeys([f"{gains.min():.3g}", f"{gains.max():.3g}"]))
-        played = f"stimuli were played at {span} times the strength that was recorded"
-        mixed = "so ratings mix strength with likeness"
-        yield f"Scale '{rows['scale'].iloc[0]}': beside the real surface, {played}, {mixed}."

@@ -20,7 +20,7 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
+from feel321.analysis.table.schema import refuse_lines, shorten
 from feel321.doors import as_names, as_path, describe
 from feel321.names import REDUCER_NAMES
 from feel321.types import MetricInfo, PathLike
@@ -48,9 +49,6 @@ ROSTER = frozenset({
     "first_utc", "last_utc", "training_passed", *RIG,
 })  # fmt: skip
 """Columns on the progress of a participant; all others, but for the participant's name, are labels."""
-
-ECHOED = ("recording", "reducer", "level")
-"""Columns that both files may hold and must then agree on."""
 
 OPTIONAL = (
     "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
@@ -77,13 +75,6 @@ class Further:
     metrics: DataFrame
     notes: tuple[str, ...] = ()
     mountings: DataFrame | None = None
-
-
-class Source(NamedTuple):
-    """A table's file, or the table in memory, and what messages call it."""
-
-    given: Path | DataFrame
-    what: str
 
 
 def read_table(
@@ -136,50 +127,35 @@ def read_table(
 
     if manifest is None:
         ratings, manifest = find_tables(ratings)
-    judged, listed = _open_source(ratings, "ratings"), _open_source(manifest, "manifest")
+    (judged, what), (listed, where) = _open(ratings, "ratings"), _open(manifest, "manifest")
     given = further or Further(DataFrame())
-    stimuli, planned, notes = _read_manifest(listed, metrics, sources=sources or {}, given=given)
-    names = dict.fromkeys([*planned, *metrics_of.describe_explored(())])
-    held = [name for name in names if name in stimuli or name in planned]
-    known, stated = metrics_of.gather_info(held, info, listed.given)
-    notes += metrics_of.refuse_unbounded(stimuli, listed.what, info=known, stated=stated)
+    stimuli, planned, notes = _read_manifest(listed, where, metrics=metrics, given=given)
+    known = [*planned, *metrics_of.describe_explored(planned)]
+    held = [name for name in known if name in stimuli or name in planned]
+    declared, stated = metrics_of.gather_info(held, info, listed)
+    notes += metrics_of.refuse_unbounded(stimuli, where, info=declared, stated=stated)
+    _add_sources(stimuli, where, sources or {})
     stimuli = stimuli.set_index(STIMULUS)
-    rows, more_notes = read_ratings(*judged)
-    _check_stimuli(rows, stimuli, names=(judged.what, listed.what))
-    stimuli, joined = _join_further(stimuli, rows, given, names=(judged.what, listed.what))
+    rows, more_notes = read_ratings(judged, what)
+    _check_stimuli(rows, stimuli, what=what, listed=where)
+    stimuli, joined = _join_further(stimuli, rows, given, what=what, listed=where)
     notes += [*given.notes, *joined, *more_notes]
-    rows, told = _join_stimuli(rows, stimuli, judged.what)
-    notes += [*remarks.note_gaps(rows, stimuli, planned), *told]
-    notes += [*remarks.note_sources(rows), *remarks.note_lookalikes(rows)]
+    rows, told = _join_stimuli(rows, stimuli, what)
+    notes += remarks.note_gaps(rows, stimuli, planned)
+    notes += [*told, *remarks.note_sources(rows), *remarks.note_lookalikes(rows)]
     explored = _choose_further(rows, planned, given=given)
     columns = [*planned, *explored]
     optional = [name for name in OPTIONAL if name in rows and name not in columns]
     rows = rows[[
-        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *ECHOED, ROLE, "matched",
+        "participant", STIMULUS, "reference_id", "reference_reducer", OTHER, "source", *schema.NAMING, ROLE, "matched",
         "scale", "repeat", "rating", "simulated", *optional, *columns,
     ]].reset_index(drop=True)  # fmt: skip
-    rows, more_notes = _join_roster(rows, judged.given)
-    sheet = stimuli[["source", *ECHOED, ROLE, *columns]]
+    rows = _join_roster(rows, judged, notes)
+    sheet = stimuli[["source", *schema.NAMING, ROLE, *columns]]
     if (rows["scale"] == schema.PAIRED).any():
-        more = metrics_of.read_attributes(listed.given)
+        more = metrics_of.read_attributes(listed)
         sheet = sheet.join(more[[name for name in more if name not in sheet]])
-    return Table(rows, planned, (*notes, *more_notes), explored, known, sheet)
-
-
-def _choose_further(
-    rows: DataFrame, planned: tuple[str, ...], *, given: Further
-) -> tuple[str, ...]:
-    """Choose the metrics that are explored: all test stimuli must have them, as they must the planned ones."""
-    tests = rows[rows[ROLE] == TEST]
-    for name in (name for name in planned if name in given.metrics):
-        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
-        if len(lacking):
-            first = schema.shorten(str(lacking[0]))
-            got = f"got {name!r}, which {len(lacking)} rated test stimuli lack, first {first}"
-            do = "name another metric, or leave them out"
-            raise ValueError(f"metrics: {got}; {do}. {' '.join(given.notes)}")
-    known = [name for name in metrics_of.describe_explored(planned) if name in tests]
-    return tuple(name for name in known if tests[name].notna().all())
+    return Table(rows, planned, tuple(notes), explored, declared, sheet)
 
 
 def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
@@ -197,13 +173,13 @@ def find_tables(ratings: PathLike | DataFrame) -> tuple[Path, Path]:
     raise FileNotFoundError(f"{path}: {why}; pass the manifest as second argument")
 
 
-def _open_source(given: PathLike | DataFrame, what: str) -> Source:
-    from pandas import DataFrame
-
-    if isinstance(given, DataFrame):
-        return Source(given, what)
-    path = as_path(given, what)
-    return Source(path, path.name)
+def _open(given: PathLike | DataFrame, what: str) -> tuple[Path | DataFrame, str]:
+    """Take a table's path, or the table in memory, and what messages call it."""
+    if isinstance(given, str | os.PathLike):
+        return Path(given), Path(given).name
+    if not hasattr(given, "columns"):
+        raise TypeError(f"{what} must be a path or a DataFrame, got {describe(given)}")
+    return given, what
 
 
 # `ratings.csv`, from feel321 or from elsewhere.
@@ -211,30 +187,39 @@ def _open_source(given: PathLike | DataFrame, what: str) -> Source:
 
 def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     """Read every judgement that counts."""
-    further = dict.fromkeys(metrics_of.describe_further(), schema.ColumnInfo("metric"))
-    columns = {**schema.RATINGS, **further}
-    sheet, notes = schema.read_sheet(source, what, columns)
-    schema.read_column(sheet, "rejected", what, kind="flag")
+    kinds = {**schema.RATINGS, **dict.fromkeys(metrics_of.FURTHER, schema.METRIC)}
+    sheet, notes = schema.read_sheet(source, what, kinds, needed=schema.NEEDED[0])
+    schema.read_column(sheet, "rejected", what, kind=schema.FLAG)
     left, left_out = leave_rejected(sheet, what=what)  # which needs no rating
     notes += left_out
     if lost := sorted(set(sheet["participant"]) - set(left["participant"])):
         names = remarks.list_names(lost)
         notes.append(f"Participants without a valid judgement, who do not count: {names}.")
-    sheet = left.copy()
-    for name in [str(name) for name in sheet if name != "rejected"]:
-        schema.read_column(sheet, name, what, kind=columns[name].kind)
+    sheet = left.drop(columns="rejected", errors="ignore").copy()
+    for name in map(str, sheet):
+        schema.read_column(sheet, name, what, kind=kinds[name])
     sheet = _leave_simulated(sheet, what, notes)
     sheet = sheet.assign(**{key: "" for key in ("reference_id", OTHER) if key not in sheet})
     _check_answers(sheet, what)
-    notes += [*_check_doubles(sheet, what), *remarks.note_scales(sheet)]
-    if "underruns" in sheet and len(broken := sheet.loc[sheet["underruns"] > 0, "participant"]):
-        which = f"{len(broken)} judgements of {broken.nunique()} participants"
-        how = "they count; mark them as rejected to leave them out"
-        notes.append(f"{which} were made on an interrupted playback (underruns): {how}.")
+    notes += [*_check_doubles(sheet, what), *remarks.note_ratings(sheet)]
     if "repeat" not in sheet:
         alike = ["participant", STIMULUS, "reference_id", OTHER, "scale"]
         sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
     return sheet, notes
+
+
+def _leave_simulated(sheet: DataFrame, what: str, notes: list[str]) -> DataFrame:
+    if "simulated" not in sheet:
+        return sheet.assign(simulated=False)
+    simulated, who = sheet["simulated"], sheet["participant"]
+    both = who[simulated & who.isin(who[~simulated])]
+    refuse_lines(both, what, must="be simulated in all of its lines or in none")
+    if simulated.all() or not simulated.any():
+        return sheet
+    left = f"{int(simulated.sum())} judgements of {who[simulated].nunique()} simulated participants"
+    how = "because people rated too; to analyse them, bring a table of them alone"
+    notes.append(f"{left} are left out, {how}.")
+    return sheet[~simulated].copy()
 
 
 def _check_answers(sheet: DataFrame, what: str) -> None:
@@ -250,21 +235,7 @@ def _check_answers(sheet: DataFrame, what: str) -> None:
         (OTHER, ~is_choice & (sheet[OTHER] != ""), f"be empty but on scale {scales}"),
     )  # fmt: skip
     for name, bad, must in rules:
-        schema.refuse_lines(sheet.loc[bad, name], what, must=must)
-
-
-def _leave_simulated(sheet: DataFrame, what: str, notes: list[str]) -> DataFrame:
-    if "simulated" not in sheet:
-        return sheet.assign(simulated=False)
-    simulated, who = sheet["simulated"], sheet["participant"]
-    both = who[simulated & who.isin(who[~simulated])]
-    schema.refuse_lines(both, what, must="be simulated in all of its lines or in none")
-    if simulated.all() or not simulated.any():
-        return sheet
-    left = f"{int(simulated.sum())} judgements of {who[simulated].nunique()} simulated participants"
-    how = "because people rated too; to analyse them, bring a table of them alone"
-    notes.append(f"{left} are left out, {how}.")
-    return sheet[~simulated].copy()
+        refuse_lines(sheet.loc[bad, name], what, must=must)
 
 
 def _check_doubles(sheet: DataFrame, what: str) -> Iterator[str]:
@@ -275,9 +246,9 @@ def _check_doubles(sheet: DataFrame, what: str) -> Iterator[str]:
         yield f"{what} has nothing in a column 'trial' or 'repeat': {repeats}."
         return
     key = [name for name in (*JUDGEMENT, counted) if name in sheet]
-    doubled = sheet.loc[sheet.duplicated(key), counted]
     must = f"occur once with the same {', '.join(key[:-1])}"
-    schema.refuse_lines(doubled, what, must=must, do="keep one of the lines")
+    doubled = sheet.loc[sheet.duplicated(key), counted]
+    refuse_lines(doubled, what, must=must, do="keep one of the lines")
     count = int(sheet.duplicated([*key[:-1], "repeat"]).sum()) if "repeat" in sheet else 0
     if count and "trial" in sheet:
         how = "each counts as a further repeat"
@@ -288,102 +259,109 @@ def _check_doubles(sheet: DataFrame, what: str) -> Iterator[str]:
 
 
 def _read_manifest(
-    source: Source, metrics: Sequence[str] | None, *, sources: Mapping[str, str], given: Further
+    source: Path | DataFrame, what: str, *, metrics: Sequence[str] | None, given: Further
 ) -> tuple[DataFrame, tuple[str, ...], list[str]]:
     """Read the manifest's columns that an analysis needs; also the planned metrics, and notes."""
-    metrics, what = None if metrics is None else as_names(metrics, "metrics"), source.what
-    columns = metrics_of.describe_manifest(metrics or schema.PLANNED)
-    sheet, notes = schema.read_sheet(*source, columns)
-    planned, lacking = _choose_metrics(sheet, metrics, source, more=list(map(str, given.metrics)))
-    notes += lacking
+    metrics = None if metrics is None else as_names(metrics, "metrics")
+    kinds = metrics_of.describe_manifest(metrics or schema.PLANNED)
+    sheet, notes = schema.read_sheet(source, what, kinds, needed=schema.NEEDED[1])
+    planned = _choose_metrics(sheet, metrics, source, what=what, more=set(map(str, given.metrics)))
+    notes += [
+        f"{what} has nothing in a column '{name}', so that metric is not reported."
+        for name in schema.PLANNED
+        if not metrics and not {name, schema.STAND_INS.get(name)} & {*planned}
+    ]
     for name, value in (("level", "as_is"), (ROLE, TEST)):
         if name not in sheet:
             sheet[name] = value
             taken = f"every stimulus is taken as '{value}'"
             notes.append(f"{what} has nothing in a column '{name}': {taken}.")
-    for name in (*schema.IDENTITY, "level"):
-        schema.read_column(sheet, name, what, kind="name")
+    for name in (STIMULUS, *schema.NAMING):
+        schema.read_column(sheet, name, what, kind=schema.NAME)
     strange = sheet.loc[~sheet[ROLE].isin(schema.ROLES), ROLE]
-    schema.refuse_lines(strange, what, must=f"be one of {', '.join(schema.ROLES)}")
+    refuse_lines(strange, what, must=f"be one of {', '.join(schema.ROLES)}")
     schema.refuse_doubled(sheet, STIMULUS, what)
-    wanted = {*planned, *metrics_of.describe_further()}
     for name in [*planned, *metrics_of.describe_explored(planned)]:
         # The reference need not have a metric: it is what the others are matched against.
-        if name in sheet and name in wanted:
+        if name in sheet and name in {*planned, *metrics_of.FURTHER}:
             bare = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
             do = "correct it or leave the row out"
-            schema.refuse_lines(bare, what, must="be a finite number", do=do)
-        schema.read_column(sheet, name, what, kind="metric")
-    for name in set(schema.FACTS) - set(planned):
-        schema.read_column(sheet, name, what, kind=columns[name].kind)
-    if "source" in sheet:
-        found = sheet["source"].mask(sheet["source"] == "", sheet["recording"])
-        other = found[found != found.groupby(sheet["recording"]).transform("first")]
-        do = "an earlier line of its recording has another"
-        schema.refuse_lines(other, what, must="be one per recording", do=do)
-        sheet["source"] = found
-    else:
-        sheet["source"] = sheet["recording"].map(lambda name: sources.get(name, name))
-    notes += remarks.note_stimuli(sheet)
+            refuse_lines(bare, what, must="be a finite number", do=do)
+        schema.read_column(sheet, name, what, kind=schema.METRIC)
+    for name in set(schema.FACTS) - {*planned}:
+        schema.read_column(sheet, name, what, kind=kinds[name])
     return sheet, planned, notes
 
 
+def _add_sources(sheet: DataFrame, what: str, sources: Mapping[str, str]) -> None:
+    """Name the source of each stimulus: as the manifest or else the caller says, or its recording itself."""
+    recording = sheet["recording"]
+    if "source" not in sheet:
+        sheet["source"] = recording.map(lambda name: sources.get(name, name))
+    sheet["source"] = sheet["source"].mask(sheet["source"] == "", recording)
+    other = sheet["source"] != sheet.groupby("recording")["source"].transform("first")
+    do = "an earlier line of its recording has another"
+    refuse_lines(sheet.loc[other, "source"], what, must="be one per recording", do=do)
+
+
 def _choose_metrics(
-    sheet: DataFrame, metrics: Sequence[str] | None, source: Source, *, more: Sequence[str]
-) -> tuple[tuple[str, ...], list[str]]:
+    sheet: DataFrame,
+    metrics: Sequence[str] | None,
+    source: Path | DataFrame,
+    *,
+    what: str,
+    more: set[str],
+) -> tuple[str, ...]:
     """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
-    if metrics is not None and tuple(metrics) != schema.PLANNED:
-        if not metrics or len(set(metrics)) < len(metrics):
-            got = ", ".join(metrics) or "none"
-            raise ValueError(f"metrics must be one name or more, each once, got {got}")
-        known = metrics_of.list_numeric(sheet)
-        for name in (name for name in metrics if name not in {*more, *known}):
-            instead, why = schema.STAND_INS.get(name), ""
-            if instead in sheet:
-                why = f" (build the set again, or use {instead})"
-            elif name in metrics_of.ROTATIONS:
-                why = " (feel321 analyze computes it in a study, from the recordings of its set)"
-            lacks = "no numbers in column" if name in sheet else "no column"
-            got = f"got {lacks} {schema.shorten(name)} as a metric{why}"
-            raise ValueError(f"{source.what}: {got}; {_list_numeric(source.given)}")
-        return tuple(metrics), []
-    found = [name if name in sheet else schema.STAND_INS.get(name, name) for name in schema.PLANNED]
-    if not any(name in sheet for name in found):
+
+    def list_numeric() -> str:
+        names = metrics_of.list_numeric(schema.read_cells(source))
+        return (
+            f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
+        )
+
+    if metrics is None or tuple(metrics) == schema.PLANNED:
+        pairs = [(name, schema.STAND_INS.get(name, name)) for name in schema.PLANNED]
+        instead = [name if name in sheet else stand_in for name, stand_in in pairs]
+        if found := tuple(name for name in instead if name in sheet):
+            return found
         must = f"at least one of the columns {', '.join(schema.PLANNED)} is needed"
         own = "or a metric of your own by its name (--metric)"
-        numeric = _list_numeric(source.given)
-        raise ValueError(f"{source.what}: got no metric; {must}, {own}; {numeric}")
-    lacking = [name for name in found if name not in sheet]
-    note = f"{source.what} has nothing in a column '{{}}', so that metric is not reported."
-    planned = tuple(name for name in found if name in sheet)
-    return planned, [note.format(name) for name in lacking]
-
-
-def _list_numeric(source: Path | DataFrame) -> str:
-    """List what may be used as a metric, of all columns of the table."""
-    names = metrics_of.list_numeric(schema.read_cells(source))
-    return f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
+        raise ValueError(f"{what}: got no metric; {must}, {own}; {list_numeric()}")
+    if not metrics or len(set(metrics)) < len(metrics):
+        got = ", ".join(metrics) or "none"
+        raise ValueError(f"metrics must be one name or more, each once, got {got}")
+    known = more | set(metrics_of.list_numeric(sheet))
+    for name in (name for name in metrics if name not in known):
+        stand_in, why = schema.STAND_INS.get(name), ""
+        if stand_in in sheet:
+            why = f" (build the set again, or use {stand_in})"
+        elif name in metrics_of.ROTATIONS:
+            why = " (feel321 analyze computes it in a study, from the recordings of its set)"
+        lacks = "no numbers in column" if name in sheet else "no column"
+        got = f"got {lacks} {shorten(name)} as a metric{why}"
+        raise ValueError(f"{what}: {got}; {list_numeric()}")
+    return tuple(metrics)
 
 
 # What was judged against what, and what of it the metrics describe.
 
 
-def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, names: tuple[str, str]) -> None:
-    what, listed = names
+def _check_stimuli(ratings: DataFrame, manifest: DataFrame, *, what: str, listed: str) -> None:
     must, do = f"be a stimulus of {listed}", "is it the manifest of these stimuli?"
     for name in (STIMULUS, OTHER):
         known = [*manifest.index, *[""] * (name == OTHER)]
-        strangers = ratings.loc[~ratings[name].isin(known), name]
-        schema.refuse_lines(strangers, what, must=must, do=do)
+        refuse_lines(ratings.loc[~ratings[name].isin(known), name], what, must=must, do=do)
     one, other = (ratings[name].map(manifest["recording"]) for name in (STIMULUS, OTHER))
     foreign = ratings.loc[(ratings[OTHER] != "") & (one != other), OTHER]
-    schema.refuse_lines(foreign, what, must="be of the same recording as stimulus_id")
-    for name in [name for name in ECHOED if name in ratings]:
+    refuse_lines(foreign, what, must="be of the same recording as stimulus_id")
+    for name in [name for name in schema.NAMING if name in ratings]:
         of_stimulus = ratings[STIMULUS].map(manifest[name])
         differing = ratings.loc[ratings[name] != of_stimulus, name]
         if len(differing):
-            must = f"be {schema.shorten(of_stimulus[differing.index[0]])}, as {listed} says of that stimulus"
-            schema.refuse_lines(differing, what, must=must, do="correct whichever is wrong")
+            right = shorten(of_stimulus[differing.index[0]])
+            must = f"be {right}, as {listed} says of that stimulus"
+            refuse_lines(differing, what, must=must, do="correct whichever is wrong")
 
 
 def _join_stimuli(
@@ -396,29 +374,26 @@ def _join_stimuli(
     is_paired = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "")
     others = rows.loc[is_paired, "reference_id"]
     must = f"be a stimulus of the manifest, or empty, in a {schema.PAIRED}"
-    schema.refuse_lines(others[~others.isin(stimuli.index)], what, must=must)
+    refuse_lines(others[~others.isin(stimuli.index)], what, must=must)
     # A dissimilarity is about the stimulus that was compared with the reference.
     backward = is_paired & (rows[STIMULUS].map(stimuli[ROLE]) == "reference")
     ids, rows = [STIMULUS, "reference_id"], rows.copy()
     rows.loc[backward, ids] = rows.loc[backward, ids[::-1]].to_numpy()
     rows = rows.drop(columns=[name for name in rows if name in stimuli]).join(stimuli, on=STIMULUS)
-    is_same = rows[STIMULUS] == rows["reference_id"]
-    is_pair = (rows["scale"] == schema.PAIRED) & (rows["reference_id"] != "") & ~is_same
-    is_pair &= rows["reference_id"].map(stimuli[ROLE]) != "reference"
+    reference, is_same = rows["reference_id"], rows[STIMULUS] == rows["reference_id"]
+    is_pair = is_paired & ~is_same & (reference.map(stimuli[ROLE]) != "reference")
     roles = rows[ROLE].mask(is_same & (rows[ROLE] == TEST), "reference")
     rows[ROLE] = roles.mask(rows["scale"].isin(schema.CHOSEN) | is_pair, schema.PAIR)
-    known = {"": "", schema.SURFACE: SURFACED}
-    for name in set(rows["reference_id"].unique()) - set(known):
-        known[name] = UNLISTED
-        if name in stimuli.index:
-            reducer, role = stimuli.loc[name, ["reducer", ROLE]]
-            whole = role == "reference" and reducer not in REDUCER_NAMES
-            known[name] = "" if whole else f"what '{reducer}' made of the recording"
-    of_reference = rows["reference_id"].map(stimuli["recording"])
+    known = dict.fromkeys(reference.unique(), UNLISTED) | {"": "", schema.SURFACE: SURFACED}
+    for name in set(known) & set(stimuli.index):
+        reducer, role = stimuli.loc[name, ["reducer", ROLE]]
+        whole = role == "reference" and reducer not in REDUCER_NAMES
+        known[name] = "" if whole else f"what '{reducer}' made of the recording"
+    of_reference = reference.map(stimuli["recording"])
     is_foreign = of_reference.notna() & (of_reference != rows["recording"])
-    references = rows["reference_id"].map(known).mask(is_foreign, FOREIGN)
+    references = reference.map(known).mask(is_foreign, FOREIGN)
     rows["matched"] = references.isin(["", SURFACED, UNLISTED])
-    rows["reference_reducer"] = rows["reference_id"].map(stimuli["reducer"]).fillna("")
+    rows["reference_reducer"] = reference.map(stimuli["reducer"]).fillna("")
     return rows, _note_references(rows, references)
 
 
@@ -435,67 +410,76 @@ def _note_references(rows: DataFrame, references: Series) -> Iterator[str]:
         is_usual = reference in {SURFACED, UNLISTED}
         fate = "" if is_usual else ": none enters an association or a slope"
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
-        if reference == SURFACED:
-            yield from remarks.note_gains(part)
 
 
 # Further metrics, and labels of the participants.
 
 
 def _join_further(
-    manifest: DataFrame, ratings: DataFrame, given: Further, *, names: tuple[str, str]
+    manifest: DataFrame, ratings: DataFrame, given: Further, *, what: str, listed: str
 ) -> tuple[DataFrame, list[str]]:
     """Give every stimulus the further metrics that there are."""
-    from pandas import DataFrame
-
-    allowed = [*metrics_of.describe_further()]
-    judged = [name for name in allowed if name in ratings]
     must = "further metrics must"
     for name in given.metrics:
-        if name not in allowed:
-            raise ValueError(f"{must} be of the columns {', '.join(allowed)}, got column {name!r}")
+        if name not in metrics_of.FURTHER:
+            names = ", ".join(metrics_of.FURTHER)
+            raise ValueError(f"{must} be of the columns {names}, got column {name!r}")
         if not ~(np.abs(given.metrics[name].to_numpy(np.float64)) > schema.LARGEST).any():
             raise ValueError(f"{must} be finite, got infinite or huge values of '{name}'")
     if not given.metrics.index.is_unique:
         raise ValueError(f"{must} have one row per stimulus_id, got a stimulus twice")
-    means = ratings.groupby(STIMULUS)[judged].mean() if judged else DataFrame()
-    both = {
-        " and ".join(names[::-1]): means,
-        "the files and the further metrics given": given.metrics,
-    }
-    for where, more in both.items():
+    judged = [name for name in metrics_of.FURTHER if name in ratings]
+    means = ratings.groupby(STIMULUS)[[*judged, "rating"]].mean()[judged]
+    both = (
+        (f"{listed} and {what}", means),
+        ("the files and the further metrics given", given.metrics),
+    )
+    for where, more in both:
         if doubled := [str(name) for name in more if name in manifest]:
             do = "keep one, or a stimulus would have two values of it"
             raise ValueError(f"{where}: got '{doubled[0]}' in both; {do}")
         manifest = manifest.join(more)
-    mean = f"in {names[0]} it is given per judgement; a stimulus has the mean over its judgements that hold it"
+    mean = f"in {what} it is given per judgement; a stimulus has the mean over its judgements that hold it"
     return manifest, [f"'{name}': {mean}." for name in judged]
 
 
-def _join_roster(rows: DataFrame, ratings: Path | DataFrame) -> tuple[DataFrame, list[str]]:
+def _choose_further(
+    rows: DataFrame, planned: tuple[str, ...], *, given: Further
+) -> tuple[str, ...]:
+    """Choose the metrics that are explored: all test stimuli must have them, as they must the planned ones."""
+    tests = rows[rows[ROLE] == TEST]
+    for name in (name for name in planned if name in given.metrics):
+        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
+        if len(lacking):
+            first = shorten(str(lacking[0]))
+            got = f"got {name!r}, which {len(lacking)} rated test stimuli lack, first {first}"
+            do = "name another metric, or leave them out"
+            raise ValueError(f"metrics: {got}; {do}. {' '.join(given.notes)}")
+    known = [name for name in metrics_of.describe_explored(planned) if name in tests]
+    return tuple(name for name in known if tests[name].notna().all())
+
+
+def _join_roster(rows: DataFrame, ratings: Path | DataFrame, notes: list[str]) -> DataFrame:
     """Add labels of the participants, and rigs where they differ, from the table beside the ratings."""
     path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
     if path is None or not path.is_file():
-        return rows, []
+        return rows
     with intake.open_text(path) as file:
         header = next(csv.reader(file), [])
-    known = {*rows, *ROSTER, "participant"}
-    labels = [name for name in header if name in RIG or (name and name not in known)]
-    columns = {"participant": schema.NEEDED} | dict.fromkeys(labels, schema.TEXT)
-    # Without columns that are empty throughout.
-    sheet, _ = schema.read_sheet(path, path.name, columns)
+    known = {*rows, *ROSTER, "participant", ""}
+    labels = [name for name in header if name in RIG or name not in known]
+    kinds = {"participant": schema.NAME} | dict.fromkeys(labels, schema.TEXT)
+    sheet, _ = schema.read_sheet(path, path.name, kinds, needed={"participant"})
     schema.refuse_doubled(sheet, "participant", path.name)
     sheet = sheet[sheet["participant"].isin(rows["participant"])].set_index("participant")
-    notes = []
     for name in map(str, sheet):
-        rows = rows.join(sheet[name], on="participant").fillna({name: ""})
-        sizes = rows.groupby(name)["participant"].nunique().to_dict()
+        joined = rows.join(sheet[name], on="participant").fillna({name: ""})
+        sizes = joined.groupby(name)["participant"].nunique().to_dict()
         if name in RIG and len(sizes) == 1:
-            rows = rows.drop(columns=name)
             continue
-        write = str if name in RIG else schema.shorten
+        rows, write = joined, str if name in RIG else shorten
         told = ", ".join(f"{write(str(key)) if key else 'unknown'} {n}" for key, n in sizes.items())
-        what = f"{RIG.get(name, schema.shorten(name))} ({ROSTER_FILE}; participants: {told})"
+        what = f"{RIG.get(name, shorten(name))} ({ROSTER_FILE}; participants: {told})"
         then = "see Robustness to other choices" if name in RIG else "no test compares them"
         notes.append(f"Participants differ in {what}: {then}.")
-    return rows, notes
+    return rows

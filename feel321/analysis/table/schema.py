@@ -18,6 +18,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
 from feel321 import intake
 
 if TYPE_CHECKING:
@@ -43,7 +45,6 @@ SURFACE = "surface"  # Reference of a judgement that compares with the real surf
 NAMING = ("recording", "reducer", "level")
 """Columns that together name a stimulus where there is no stimulus_id."""
 
-IDENTITY = ("stimulus_id", "recording", "reducer")
 AMPLITUDE, GAIN, SENSATION = "rms_m_s2", "gain", "sensation_level_db"
 FACTS = (AMPLITUDE, GAIN, SENSATION)
 """Columns of a manifest that describe a stimulus and match it with nothing."""
@@ -60,46 +61,27 @@ PLANNED = ("spectral_match_bounded", "temporal_match")
 STAND_INS = {"spectral_match_bounded": "spectral_match"}
 """Used for a planned metric that a manifest does not have."""
 
+TEXT, NAME, FLAG, METRIC, UNUSED = "text", "name", "flag", "metric", "unused"
+"""Kinds of columns, besides those that hold numbers (`NUMBERS`)."""
 
-class ColumnInfo(NamedTuple):
-    """A column of a table; its kind is a key of `KINDS`, ``name``, ``flag``, or empty for plain text."""
-
-    kind: str = ""
-    needed: bool = False
-    used: bool = True
-
-
-TEXT, NAME, NEEDED, UNUSED = (
-    ColumnInfo(), ColumnInfo("name"), ColumnInfo("name", needed=True), ColumnInfo(used=False),
-)  # fmt: skip
-
-RATINGS: Mapping[str, ColumnInfo] = {
-    "participant": NEEDED, "session": TEXT, "protocol": TEXT, "block": TEXT, "trial": NAME, "repeat": NAME,
-    "stimulus_id": NEEDED, **dict.fromkeys(NAMING, TEXT), "reference_id": TEXT, "scale": NEEDED,
-    "rating": ColumnInfo("rating", needed=True), "response_time_s": ColumnInfo("time"), "onset_s": UNUSED,
-    "underruns": ColumnInfo("count"), "rejected": ColumnInfo("flag"), "simulated": ColumnInfo("flag"),
-    ERROR: ColumnInfo("error"), SOURCE: TEXT, SENSATION: UNUSED, "other_id": TEXT,
+RATINGS: Mapping[str, str] = {
+    "participant": NAME, "session": TEXT, "protocol": TEXT, "block": TEXT, "trial": NAME, "repeat": NAME,
+    "stimulus_id": NAME, **dict.fromkeys(NAMING, TEXT), "reference_id": TEXT, "scale": NAME, "rating": "rating",
+    "response_time_s": "time", "onset_s": UNUSED, "underruns": "count", "rejected": FLAG, "simulated": FLAG,
+    ERROR: "error", SOURCE: TEXT, SENSATION: UNUSED, "other_id": TEXT,
 }  # fmt: skip
-"""One row per judgement."""
+"""Column of a table with a row per judgement -> its kind."""
 
-MANIFEST: Mapping[str, ColumnInfo] = {
-    **dict.fromkeys(IDENTITY, NEEDED), "level": NAME, "role": TEXT, AMPLITUDE: ColumnInfo("amplitude"),
-    GAIN: ColumnInfo("known"), SENSATION: ColumnInfo("known"),
+MANIFEST: Mapping[str, str] = {
+    "stimulus_id": NAME, **dict.fromkeys(NAMING, NAME), "role": TEXT, "source": TEXT,
+    AMPLITUDE: "amplitude", GAIN: "known", SENSATION: "known",
     **dict.fromkeys(("file", "rate_hz", "n_samples", "duration_s", "peak", "clipped"), UNUSED),
     **dict.fromkeys(("sha256", "recording_sha256", "band_high_hz"), UNUSED),
-    "source": TEXT,
 }  # fmt: skip
-"""One row per stimulus."""
+"""Column of a table with a row per stimulus -> its kind."""
 
-NOT_METRICS = frozenset({
-    *IDENTITY,
-    "level",
-    "role",
-    "source",
-    "file",
-    "sha256",
-    "recording_sha256",
-})
+NEEDED = {"participant", "stimulus_id", "scale", "rating"}, {"stimulus_id", "recording", "reducer"}
+"""Columns that ratings and a manifest must have."""
 
 MOSTLY = 0.5  # Share of a column's cells that are numbers where the column is meant to hold numbers
 FOREIGN = {
@@ -109,12 +91,10 @@ FOREIGN = {
 }  # first bytes of files that are often taken for CSV -> what they are
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 CONTROL = r"[\x00-\x1f\x7f-\x9f\u2028\u2029]"
-
-LONGEST = 60  # Characters of a cell that a message shows
 BLAMED_LINES = 3  # How many line numbers a message names before it only counts
 
 
-class Kind(NamedTuple):
+class Rule(NamedTuple):
     """A rule for the numbers of a column: its words, its test, and what an empty cell counts as, if it may be empty."""
 
     must: str
@@ -123,39 +103,47 @@ class Kind(NamedTuple):
     do: str = ""
 
 
-KINDS: Mapping[str, Kind] = {
-    "rating": Kind(
+NUMBERS: Mapping[str, Rule] = {
+    "rating": Rule(
         "be 0 to 100", lambda values: values.between(LOWEST, HIGHEST), None, "rescale what was asked on another scale"
     ),
-    "time": Kind("be 0 or more, in seconds, or empty", lambda values: ~(values < 0)),
-    "count": Kind("be a count (0, 1, 2, ...) or empty", lambda values: (values >= 0) & (values % 1 == 0), 0),
-    "amplitude": Kind("be 0 or more, in m/s², or empty", lambda values: ~(values < 0)),
-    "metric": Kind(f"be no more than {LARGEST:g} in size", lambda values: ~(values.abs() > LARGEST)),
-    "error": Kind("be a number or empty", lambda values: ~(values.abs() > LARGEST)),
-    "known": Kind("be a number or empty", lambda values: values.notna()),
+    "time": Rule("be 0 or more, in seconds, or empty", lambda values: ~(values < 0)),
+    "count": Rule("be a count (0, 1, 2, ...) or empty", lambda values: (values >= 0) & (values % 1 == 0), 0),
+    "amplitude": Rule("be 0 or more, in m/s², or empty", lambda values: ~(values < 0)),
+    METRIC: Rule(f"be no more than {LARGEST:g} in size", lambda values: ~(values.abs() > LARGEST)),
+    "error": Rule("be a number or empty", lambda values: ~(values.abs() > LARGEST)),
+    "known": Rule("be a number or empty", lambda values: values.notna()),
 }  # fmt: skip
-"""Kinds of columns that hold numbers."""
+"""Kind of a column that holds numbers -> its rule."""
 
 
 def read_sheet(
-    source: Path | DataFrame, what: str, schema: Mapping[str, ColumnInfo]
+    source: Path | DataFrame, what: str, kinds: Mapping[str, str], *, needed: set[str]
 ) -> tuple[DataFrame, list[str]]:
-    """Read the columns that an analysis uses, as text, from a CSV file or a table in memory; `what` names it."""
+    """Read the columns that an analysis uses, as text, from a CSV file or a table in memory; `what` names it.
+
+    Columns that are empty throughout are left out unless they are needed.
+    """
+    ordered = [name for name in kinds if name in needed]
     try:
-        cells = _read_file(source, schema) if isinstance(source, Path) else read_cells(source)
-        header = list(map(str, cells))
-        _check_header(header, f"{what}, line 1" if isinstance(source, Path) else what, schema)
+        if isinstance(source, Path):
+            cells = _read_file(source, kinds, ordered)
+        else:
+            cells = read_cells(source)
+            _check_header(list(map(str, cells)), what, kinds, needed=ordered)
     except ValueError as error:  # headers may hold anything
         line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(error))
         raise ValueError(line) from error
-    sheet = cells[[name for name, column in schema.items() if column.used and name in header]]
+    sheet = cells[[name for name, kind in kinds.items() if kind != UNUSED and name in cells]]
     filled = sheet != ""
     sheet = sheet[filled.any(axis=1)]
     if sheet.empty:
         raise ValueError(f"{what}: got no rows below the header; at least one is needed")
-    bare = [name for name in map(str, sheet) if not schema[name].needed and not filled[name].any()]
-    strangers = [shorten(name) for name in dict.fromkeys(header) if name not in schema and name]
+    strangers = [
+        shorten(name) for name in dict.fromkeys(map(str, cells)) if name not in kinds and name
+    ]
     notes = [f"{what}: columns that are not used: {', '.join(strangers)}."] if strangers else []
+    bare = [name for name in map(str, sheet) if name not in needed and not filled[name].any()]
     return sheet.drop(columns=bare), notes
 
 
@@ -167,9 +155,8 @@ def read_cells(source: Path | DataFrame) -> DataFrame:
         cells = pd.read_csv(source, dtype=str, na_filter=False, encoding="utf-8-sig")
         return restore_cells(cells)
     cells = source.astype(object).where(source.notna(), "").astype(str)
-    return cells.set_axis(pd.RangeIndex(len(cells), name="row")).set_axis(
-        list(map(str, source)), axis=1
-    )
+    cells.index, cells.columns = pd.RangeIndex(len(cells), name="row"), list(map(str, source))
+    return cells
 
 
 def restore_cells(sheet: DataFrame) -> DataFrame:
@@ -179,13 +166,12 @@ def restore_cells(sheet: DataFrame) -> DataFrame:
 
 def read_column(sheet: DataFrame, name: str, what: str, *, kind: str) -> None:
     """Read a column of text, if there is one, as the kind that it is declared as."""
-    import numpy as np
     import pandas as pd
 
-    if name not in sheet or not kind:
+    if name not in sheet:
         return
     cells = sheet[name]
-    if kind == "name":
+    if kind == NAME:
         rules = (
             (cells == "", "not be empty", "name it"),
             (cells != cells.str.strip(), "not begin or end with a blank", "remove it"),
@@ -193,13 +179,14 @@ def read_column(sheet: DataFrame, name: str, what: str, *, kind: str) -> None:
         )
         for bad, must, do in rules:
             refuse_lines(cells[bad], what, must=must, do=do)
-    elif kind == "flag":
+    elif kind == FLAG:
         words = cells.str.strip().str.lower()
         must = "be true, false, 1, 0, yes, no or empty"
         refuse_lines(cells[~words.isin(YES | NO)], what, must=must)
         sheet[name] = words.isin(YES)
-    else:
-        rule, filled = KINDS[kind], cells if KINDS[kind].empty is None else cells[cells != ""]
+    elif kind != TEXT:
+        rule = NUMBERS[kind]
+        filled = cells if rule.empty is None else cells[cells != ""]
         numbers = pd.to_numeric(filled, errors="coerce").astype(np.float64)
         do = "correct it or leave the row out"
         refuse_lines(filled[~np.isfinite(numbers)], what, must="be a finite number", do=do)
@@ -228,11 +215,10 @@ def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
 
 def shorten(text: str) -> str:
     """Quote a cell for a message that is to stay one line."""
-    half = LONGEST // 2 - 2
-    return repr(text if len(text) <= LONGEST else f"{text[:half]}...{text[-half:]}")
+    return repr(intake.clip(text))
 
 
-def _read_file(path: Path, schema: Mapping[str, ColumnInfo]) -> DataFrame:
+def _read_file(path: Path, kinds: Mapping[str, str], needed: Sequence[str]) -> DataFrame:
     """Read a file's cells; the index says in which line a row begins."""
     import pandas as pd
 
@@ -251,10 +237,10 @@ def _read_file(path: Path, schema: Mapping[str, ColumnInfo]) -> DataFrame:
         raise ValueError(f"{what}: {why}") from None
     if not header:
         state = "line 1 is blank" if content else "the file is empty"
-        needed = ", ".join(name for name, column in schema.items() if column.needed)
-        raise ValueError(f"{what}: {state}; its first line must name the columns {needed}")
+        must = f"its first line must name the columns {', '.join(needed)}"
+        raise ValueError(f"{what}: {state}; {must}")
     # A row of another length says most about a header that is no list of names.
-    _check_header(header, f"{what}, line 1", schema)
+    _check_header(header, f"{what}, line 1", kinds, needed=needed)
     kept = {place: row for place, row in rows.items() if row}
     for (_, end), row in kept.items():
         if len(row) != len(header):
@@ -266,22 +252,23 @@ def _read_file(path: Path, schema: Mapping[str, ColumnInfo]) -> DataFrame:
     return restore_cells(pd.DataFrame([*kept.values()], columns=header, index=index, dtype=str))
 
 
-def _check_header(header: Sequence[str], where: str, schema: Mapping[str, ColumnInfo]) -> None:
+def _check_header(
+    header: Sequence[str], where: str, kinds: Mapping[str, str], *, needed: Sequence[str]
+) -> None:
     # A misspelt column would be passed over in silence, and with it what it says: that judgements are rejected, say.
     def simplify(name: str) -> str:
         return re.sub(r"[\s_.-]+", "", name).casefold()
 
-    plain = {simplify(name): name for name in schema}
+    plain = {simplify(name): name for name in kinds}
     for name in header:
         meant = plain.get(simplify(name), name)
         if name != meant:
             must = f"must be spelt '{meant}'; rename or remove it"
             raise ValueError(f"{where}: column {shorten(name)} {must}")
-    doubled = sorted({name for name in header if name in schema and header.count(name) > 1})
+    doubled = sorted({name for name in header if name in kinds and header.count(name) > 1})
     if doubled:
         raise ValueError(f"{where}: column {', '.join(doubled)} appears more than once; keep one")
-    missing = [name for name, column in schema.items() if column.needed and name not in header]
-    if missing:
+    if missing := [name for name in needed if name not in header]:
         hint = "add it, or rename the one that holds it"
         if len(header) == 1:
             hint = "its first line must name the columns, separated by commas"

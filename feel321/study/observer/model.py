@@ -65,7 +65,7 @@ LOW, HIGH = RATING_RANGE
 NORMAL, STRAIGHT_LINER = "normal", "straight_liner"
 RANDOM_CLICKER, SCALE_REVERSER = "random_clicker", "scale_reverser"
 KINDS = (NORMAL, STRAIGHT_LINER, RANDOM_CLICKER, SCALE_REVERSER)
-STRAIGHT_SD = 1.0  # standard deviation, in points, of the place to which a straight-liner returns
+STRAIGHT_SD = 1.0  # in points, of the place to which a straight-liner returns
 HASTY = (-0.7, 0.3)  # mean and sd of the logarithm of a hasty response time in s: a median of 0.5 s
 SPECTRAL = ("spectral_match_bounded", "spectral_match")  # that participants may feel by
 HALF = 0.5  # of the favourites of straight-liners, who then choose the first
@@ -73,24 +73,20 @@ NODES = 15  # of the quadrature over gains and over sizes of the noise
 
 
 class ObserverModel(ObserverTable):
-    """How simulated participants feel, and how they differ; the template of `study.toml` explains every number.
+    """How simulated participants feel, and how they differ; `feel321 new --all-settings` explains every number."""
 
-    spectral_metric: counts as 0 where it is negative, so that a slope on it is planted from 0 to 1 only.
-    detection_curve: of `THRESHOLDS`, the mean of the participants' detection thresholds.
-    """
-
-    spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]
-    detection_curve: Annotated[str, one_of(THRESHOLDS)] = CONTACTOR
+    spectral_metric: Annotated[str, one_of(SPECTRAL)] = SPECTRAL[0]  # counts as 0 where negative
+    detection_curve: Annotated[str, one_of(THRESHOLDS)] = CONTACTOR  # mean of their thresholds
 
 
 @dataclass(frozen=True, slots=True)
 class Rater:
-    """One simulated participant; bias, gain, noise_sd: in points, as a factor, in points."""
+    """One simulated participant."""
 
     kind: str
-    bias: float
+    bias: float  # in points
     gain: float
-    noise_sd: float
+    noise_sd: float  # in points
     lapse_rate: float
     favourite: float
 
@@ -194,16 +190,15 @@ def draw_rater(model: ObserverModel, rng: np.random.Generator) -> Rater:
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """The coordinates of a stimulus for the sense of touch; spectral, temporal: matches, 0 to 1; bonus: in points."""
+    """The coordinates of a stimulus for the sense of touch."""
 
-    spectral: float
+    spectral: float  # matches, from 0 to 1
     temporal: float
-    bonus: float = 0.0
+    bonus: float = 0.0  # in points
     is_reduced: bool = True
 
 
-REAL = Location(1.0, 1.0, is_reduced=False)
-"""The original and the real surface."""
+REAL = Location(1.0, 1.0, is_reduced=False)  # the original and the real surface
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,15 +221,15 @@ class Experience:
 
     def find_reference(self, judgement: Judgement) -> Location:
         """Find where the reference of a judgement lies."""
+        felt = {part.stimulus_id: part.name for part in reversed(self.trial.parts)}
         if judgement.reference_id == SURFACE:
             return REAL
-        for part in self.trial.parts:
-            if part.stimulus_id == judgement.reference_id:
-                return self.find(part.name)
-        raise ValueError(
-            f"simulated observer: trial {self.trial.number}: the reference must be the stimulus of one of its parts, "
-            f"got {judgement.reference_id!r}; add a part that plays it"
-        )
+        if judgement.reference_id not in felt:
+            raise ValueError(
+                f"simulated observer: trial {self.trial.number}: the reference must be the stimulus of one of its "
+                f"parts, got {judgement.reference_id!r}; add a part that plays it"
+            )
+        return self.find(felt[judgement.reference_id])
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,10 +252,10 @@ class Touch:
         bonus = self.model.reducers.get(stimulus.reducer, 0.0)
         if self.seed is not None and self.model.slope_sd:
             rng = np.random.default_rng([self.seed, crc32(stimulus.recording.encode())])
-            first, second = rng.normal(0, self.model.slope_sd, 2)
+            first, second = rng.normal(0, self.model.slope_sd, 2).tolist()
             # A perfect match feels the same in every recording.
-            bonus += float(first) * (spectral - 1)
-            bonus += float(second) * (temporal - 1)
+            bonus += first * (spectral - 1)
+            bonus += second * (temporal - 1)
         return Location(spectral, temporal, bonus)
 
     def feel(self, point: Location) -> float:

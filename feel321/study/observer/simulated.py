@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from math import ceil, floor
 from typing import TYPE_CHECKING
 from zlib import crc32
@@ -16,17 +17,8 @@ from feel321.stimuli.thresholds import acceleration_threshold, to_db
 from feel321.study.minutes import STROKE_S
 from feel321.study.observer import model as models
 from feel321.study.observer.model import HALF, Experience, ObserverModel, Touch, draw_rater
-from feel321.study.session.ports import (
-    Act,
-    Confirm,
-    Feel,
-    Move,
-    Place,
-    Playback,
-    Scaled,
-    TimedOut,
-    Tone,
-)  # fmt: skip
+from feel321.study.session import ports
+from feel321.study.session.ports import Act, Confirm, Feel, Place, Playback, Scaled, Tone
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -110,18 +102,15 @@ class Participant:
         if tone.level_db is not None:
             own = self.find_threshold(tone.frequency_hz)
             slope, lapse = self.touch.model.detection_slope, self.rater.lapse_rate * HALF
-            level = tone.level_db
-            chance = float(
-                blocks.predict_correct(level, threshold_db=own, slope=slope, lapse=lapse)
-            )
+            predict = partial(blocks.predict_correct, slope=slope, lapse=lapse)
+            chance = float(predict(tone.level_db, threshold_db=own))
         return self.rater.detect(chance, right, rng)
 
     def _match(self, levels_db: Mapping[str, float], rng: np.random.Generator) -> float:
         """Move the marker until the second is as strong as the first, but for an error of one's own."""
         (low, high), kind = RATING_RANGE, self.rater.kind
         guess, error_db = rng.uniform(low, high), rng.normal(0, self.touch.model.matching_sd)
-        apart_db = levels_db[blocks.FIRST] - levels_db[SECOND] + error_db
-        points = MIDDLE + apart_db / DB_PER_POINT
+        points = MIDDLE + (levels_db[blocks.FIRST] - levels_db[SECOND] + error_db) / DB_PER_POINT
         points = high if math.isnan(points) else points  # silence, which no marker helps
         if kind == models.RANDOM_CLICKER or rng.random() < self.rater.lapse_rate:
             points = guess
@@ -191,7 +180,7 @@ class SimulatedObserver(Participant):
         if limit_s is None or not isinstance(act, Confirm) or act.response_time_s <= limit_s:
             return act
         self._time_s = round(self._time_s - act.response_time_s + limit_s, 3)
-        return TimedOut(self._time_s)
+        return ports.TimedOut(self._time_s)
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
         """Feel what was not felt before the same answer is given again."""
@@ -207,7 +196,7 @@ class SimulatedObserver(Participant):
         self._pass_time(response_s)
         if trial.protocol == MATCHING:
             # As early as the trial: an attempt that is broken off takes none of a simulated participant's time.
-            yield Move(self._shown_s, SECOND, float(values[SECOND]))
+            yield ports.Move(self._shown_s, SECOND, float(values[SECOND]))
             yield Feel(self._time_s)
         while True:
             yield Confirm(self._time_s, values, round(self._time_s - asked_s, 3))

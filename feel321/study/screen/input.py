@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from feel321.protocols.texts import MOST_LETTERS, PageText, Question
+from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.protocols.texts import Answer as QuestionAnswer
 from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
 from feel321.study.keys import PLAY, USUAL, KeysTable, label_key, label_keys, label_prompts
@@ -24,9 +24,8 @@ FAR = frozenset({"up", "down", "more", "less"})  # actions that move far; their 
 class InputEvent:
     """Something that was done to the window; x, y: pixels from its upper left corner.
 
-    text: letters were typed, which are in key; `backspace` takes one back, again and again while it is held. closed: it
-    was closed, or is gone. hidden: it is still there, but nobody sees what is asked. unfocused: keys go to another
-    window from now on; those that are down are released there.
+    text: letters in key were typed; `backspace` takes one back. closed: it was closed, or is gone. hidden: it is still
+    there, but nobody sees what is asked. unfocused: keys go to another window, also the release of those that are down.
     """
 
     kind: Literal["press", "release", "text", "click", "drag", "closed", "hidden", "unfocused"]
@@ -49,12 +48,11 @@ class View:
     """Everything that is on the screen in one frame.
 
     kind: "page" to read or to answer, one "slider", "rows" with a slider for each vibration, "scales" with one for each
-    scale, or a "choice" between parts; state: "reading", "feeling" or about to, "stroking" the real surface,
-    "answering". Of a question that is answered, its name is in felt.
+    scale, or a "choice" between parts.
     """
 
     kind: str
-    state: str
+    state: str  # "reading", "feeling" or about to, "stroking" the real surface, "answering"
     screen: int
     place: Place
     page: Page | None = None
@@ -62,7 +60,7 @@ class View:
     trial: Trial | None = None
     scale: Scale | None = None
     playing: str = ""
-    felt: frozenset[str] = frozenset()
+    felt: frozenset[str] = frozenset()  # also a question's name, once it is answered
     markers: Mapping[str, float] = field(default_factory=dict)
     selected: str = ""
     chosen: str = ""
@@ -74,17 +72,12 @@ class View:
     sample: str = ""
 
     @property
-    def has_felt_all(self) -> bool:
-        """Whether every part of a trial was felt to its end."""
-        parts = self.trial.parts if self.trial else ()
-        return self.trial is not None and self.felt.issuperset(part.name for part in parts)
-
-    @property
     def can_answer(self) -> bool:
         """Whether the answer can be changed: once all was felt, or at once where parts are felt at will."""
         if self.trial is None:
             return False
-        return self.state == "answering" or self.trial.timing == "free" or self.has_felt_all
+        has_felt_all = self.felt.issuperset(part.name for part in self.trial.parts)
+        return self.state == "answering" or self.trial.timing == "free" or has_felt_all
 
     def can_rate(self, part: str) -> bool:
         """Whether a part's own marker can be moved: where each part has one, once it was felt to its end."""
@@ -92,9 +85,10 @@ class View:
 
     @property
     def is_done(self) -> bool:
-        """Whether all was felt and all is answered."""
-        judged = set(self.trial.judged) if self.trial else set()
-        return self.has_felt_all and (bool(self.chosen) or self.markers.keys() >= judged)
+        """Whether all of a trial was felt and all is answered."""
+        if self.trial is None or not self.felt.issuperset(one.name for one in self.trial.parts):
+            return False
+        return bool(self.chosen) or self.markers.keys() >= set(self.trial.judged)
 
     @property
     def can_leave(self) -> bool:
@@ -105,8 +99,9 @@ class View:
 class Hand:
     """Watches the screen frame by frame and may press keys; this one does nothing."""
 
-    def watch(self, view: View) -> None:
-        """Look at what is on the screen."""
+    def watch(self, view: View) -> Sequence[InputEvent]:  # noqa: ARG002 - what others look at
+        """Look at what is on the screen, and return what is done to it."""
+        return ()
 
     def feel(self, part: Part, stimulus: Felt) -> None:
         """Feel what is played."""
@@ -114,18 +109,15 @@ class Hand:
 
 @dataclass(frozen=True, slots=True)
 class ScreenTexts:
-    """What participants read besides the scales, in their language; keys: what they do, in words and as they are.
+    """What participants read besides the scales, in their language."""
 
-    questions: words on question pages.
-    """
-
-    pages: Mapping[str, PageText]
+    pages: Mapping[str, Mapping[str, str]]  # title and text of each
     refusals: Mapping[str, str]
     prompts: Mapping[str, str]
     parts: Mapping[str, str]
-    keys: Mapping[str, str]
+    keys: Mapping[str, str]  # what they do, in words
     own_keys: KeysTable = USUAL
-    questions: Mapping[str, str] = field(default_factory=dict)
+    questions: Mapping[str, str] = field(default_factory=dict)  # words on question pages
 
     def name_part(self, name: str) -> str:
         """Find the word for a part."""
@@ -141,10 +133,8 @@ class ScreenTexts:
 
 def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> ScreenTexts:
     """Pick the screen's texts from those of a language, with the names of the lab's own keys."""
-    pages = {key: PageText(key, **entry) for key, entry in tables["pages"].items()}
-    lines, asked = tables["keys"], tables["questions"]["prompts"]
-    prompts = label_prompts(keys, tables["prompts"], lines)
-    labelled = label_keys(keys, lines)
+    pages, lines, asked = tables["pages"], tables["keys"], tables["questions"]["prompts"]
+    prompts, labelled = label_prompts(keys, tables["prompts"], lines), label_keys(keys, lines)
     labelled["confirm_typed"] = lines["confirm"]  # Enter, whatever key confirms elsewhere
     labelled["loop"] = f"{label_key(keys.loop[0], {})}  {LOOP}"
     refusals = {**tables["refusals"], **asked}
@@ -160,9 +150,8 @@ DIGITS_S = 0.8  # how long a number that could go on waits for its next digit
 REST_S = 0.25  # how long a marker stands still before it has come to rest
 
 FIRST = 50.0
-"""Where the first arrow makes a marker appear. There is none before, so nobody can leave it where it happens to be. An
-end would anchor; the middle favours neither answer, and is the same for all vibrations. By digit or mouse a marker
-appears where it is put."""
+"""Where the first arrow makes a marker appear; there is none before, so nobody can leave it where it happens to be. An
+end would anchor, the middle favours neither answer."""
 
 
 def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEEDS) -> int:
@@ -239,10 +228,9 @@ class Answer:
         if self.kind != "scales" or self.selected not in self.markers:
             return False
         after = self.rated.index(self.selected)
-        order = [*self.rated[after:], *self.rated[:after]]
-        still = next((key for key in order if key not in self.markers), None)
-        self.selected = still or self.selected
-        return still is not None
+        still = [k for k in (*self.rated[after:], *self.rated[:after]) if k not in self.markers]
+        self.selected = still[0] if still else self.selected
+        return bool(still)
 
     def _press(self, key: str, time_s: float, *, can_answer: bool) -> Request | None:
         action = self._keys.name_action(key)

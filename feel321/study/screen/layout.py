@@ -1,7 +1,7 @@
 """Screens as pure geometry: a view in, boxes of pixels out; pages, questions, trials, and texts that are too long."""
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass, replace
 
 from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.protocols.trial import RATING_RANGE, Judgement, Page, Part, Scale, Trial
@@ -12,26 +12,15 @@ from feel321.study.screen.sheet import GROUND, INK, Box, Button, Photo, Sheet, T
 from feel321.study.session.ports import Place
 
 COLUMN = 108.0  # width of texts and options, in units: some 65 letters
-
-TEXT_SIZES = (
-    1.1 * ui.BODY,
-    ui.BODY,
-    ui.SMALL,
-)  # of a page, the first that fits; less is illegible at 1 m
-CHOSEN, OPEN, FELT = (
-    "●",
-    "○",
-    "✓",
-)  # of options and of what was felt: colour alone must not tell them apart
+TEXT_SIZES = (1.1 * ui.BODY, ui.BODY, ui.SMALL)  # of a page; less is illegible at 1 m
+CHOSEN, OPEN, FELT = "●", "○", "✓"  # colour alone must not tell them apart
 FIELD = 40.0  # width of the field of a number, in units
 ROW, POINT = 6.6, 15.0  # heights of an option or a row, and of a Likert point, in units
-POINT_LINES = 3  # most lines of the word of a point
+POINT_LINES, QUESTION_LINES, LABEL_LINES = 3, 3, 2  # most lines of each
 ENDS = 2  # words of a Likert item that names no other point
-QUESTION_LINES, LABEL_LINES = 3, 2
 LABEL = 0.45  # largest width of a slider's label, as a share of the track
 SOON_S = 3  # from when on the time that is left for an answer stands out
 BELOW = 1.5  # free space under a picture, in units
-
 TIGHTEST = (1920, 1080)  # the screen with the least room for its letters: as wide as it needs to be
 # In units: over a slider's track, its height, and free under it. Where a trial has several: the height of each, of its
 # track, and of the least picture beside them; the widths of what is free at its left, and of the number at its right.
@@ -82,9 +71,9 @@ def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
     """Set title and text as a column, smaller where it is long, over the buttons and what to press."""
     text, body, column = texts.pages[page.key], sheet.find_strip("body"), _find_column(sheet)
     # Not by `format`: a lab's own consent may hold braces of its own.
-    words = text.text.replace("{answered}", str(view.place.answered))
+    words = text["text"].replace("{answered}", str(view.place.answered))
     paragraphs = words.replace("{total}", str(view.place.total)).strip().splitlines()
-    heading = sheet.wrap(text.title, column.width, ui.TITLE, bold=True)
+    heading = sheet.wrap(text["title"], column.width, ui.TITLE, bold=True)
     title_height = sheet.find_height(len(heading), ui.TITLE)
     for size in TEXT_SIZES:
         blocks = [sheet.wrap(paragraph, column.width, size) for paragraph in paragraphs]
@@ -150,26 +139,22 @@ def _add_question(sheet: Sheet, view: View, question: Question, *, texts: Screen
     elif question.choices:
         _add_options(sheet, view, question.options, box=box)
     else:
-        is_number = question.kind == "number"
-        height = 1.5 * ROW * unit if is_number else needed
-        field = Box(box.left, box.top, FIELD * unit if is_number else box.width, height)
-        sheet.fill(field, ui.PANEL, line=ui.BLUE, round_px=unit, line_px=0.3 * unit)
-        if is_number:
-            inner = Box(field.left + 3 * unit, field.top, field.width - 6 * unit, field.height)
-            sheet.write(inner, f"{view.typed}_", ui.QUESTION, bold=True)
-        else:
-            _add_letters(sheet, f"{view.typed}_", field)
-        if is_number and (question.low, question.high) != (None, None):
-            beside = Box(field.right + 3 * unit, field.top, box.right - field.right, field.height)
-            sheet.write(beside, question.describe_range(), ui.BODY, color=ui.DIM)
+        _add_field(sheet, view, question, box=box._replace(height=needed))
+    prompts, keys = texts.questions, texts.own_keys
     if not question.required:
-        optional = texts.questions["optional"]
-        sheet.write(sheet.find_strip("top"), optional, ui.SMALL, color=ui.DIM)
+        sheet.write(sheet.find_strip("top"), prompts["optional"], ui.SMALL, color=ui.DIM)
     leave, is_ready = Button(texts.keys["leave"], "pause"), question.name in view.felt
     line = texts.keys["confirm" if question.choices else "confirm_typed"]
     go_on = Button(line, "confirm", is_main=True, is_ready=is_ready, explains=True)
     sheet.add_buttons([leave], [go_on])
-    sheet.add_hints([*_list_hints(question, texts)])
+    signs = ". -" if question.kind == "number" else "A–Z"
+    hints = [f"0–9 {signs}  {prompts['type']}", f"⌫  {prompts['delete']}"]
+    if question.choices:
+        actions = ("left", "right") if question.kind == "likert" else ("up", "down")
+        arrows = " ".join(label_key(keys.find_key(action), {}) for action in actions)
+        hints = [f"{arrows}  {prompts['pick']}"]
+        hints += [f"1–{len(question.choices)}  {prompts['pick']}"] if keys.type_values else []
+    sheet.add_hints(hints)
 
 
 def _add_options(sheet: Sheet, view: View, options: Sequence[str], *, box: Box) -> None:
@@ -208,9 +193,19 @@ def _add_points(sheet: Sheet, view: View, options: Sequence[str], *, box: Box) -
         sheet.limit_lines(len(lines), most=POINT_LINES, what=f"option {text!r}")
 
 
-def _add_letters(sheet: Sheet, typed: str, field: Box) -> None:
-    """Write the last lines of what was typed that a field has room for; words without an end are cut."""
-    unit, room = sheet.unit, field.width - 6 * sheet.unit
+def _add_field(sheet: Sheet, view: View, question: Question, *, box: Box) -> None:
+    """Draw a field with what was typed: of a text its last lines, in which words without an end are cut."""
+    unit, typed, is_number = sheet.unit, f"{view.typed}_", question.kind == "number"
+    field = box._replace(width=FIELD * unit) if is_number else box
+    sheet.fill(field, ui.PANEL, line=ui.BLUE, round_px=unit, line_px=0.3 * unit)
+    room = field.width - 6 * unit
+    if is_number:
+        inner = Box(field.left + 3 * unit, field.top, room, field.height)
+        sheet.write(inner, typed, ui.QUESTION, bold=True)
+        if (question.low, question.high) != (None, None):
+            beside = Box(field.right + 3 * unit, field.top, box.right - field.right, field.height)
+            sheet.write(beside, question.describe_range(), ui.BODY, color=ui.DIM)
+        return
     pieces: list[str] = []
     for line in sheet.wrap(typed, room, ui.BODY):
         pieces.append("")
@@ -220,19 +215,6 @@ def _add_letters(sheet: Sheet, typed: str, field: Box) -> None:
             pieces[-1] += letter
     most = max(1, int((field.height - 2 * unit) // sheet.find_height(1, ui.BODY)))
     sheet.write(Box(field.left + 3 * unit, field.top + unit, room), pieces[-most:], ui.BODY)
-
-
-def _list_hints(question: Question, texts: ScreenTexts) -> Iterator[str]:
-    prompts, keys = texts.questions, texts.own_keys
-    if not question.choices:
-        yield f"0–9 {'. -' if question.kind == 'number' else 'A–Z'}  {prompts['type']}"
-        yield f"⌫  {prompts['delete']}"
-        return
-    actions = ("left", "right") if question.kind == "likert" else ("up", "down")
-    arrows = " ".join(label_key(keys.find_key(action), {}) for action in actions)
-    yield f"{arrows}  {prompts['pick']}"
-    if keys.type_values:
-        yield f"1–{len(question.choices)}  {prompts['pick']}"
 
 
 # Trials.
@@ -283,7 +265,7 @@ class _TrialLayout:
         sheet.limit_lines(len(lines), most=QUESTION_LINES, what="question")
         top += sheet.find_height(len(lines), ui.QUESTION) + (1.5 if is_rows else 3.0) * unit
         if view.picture and not is_rows:
-            below = self.find_slider_height() if view.kind == "slider" else 0.0
+            below = self.measure_slider()[2] if view.kind == "slider" else 0.0
             room = body.bottom - top
             height = max(room - below - BELOW * unit, room / 3)
             sheet.items.append(Photo(Box(body.left, top, body.width, height), view.picture))
@@ -294,10 +276,8 @@ class _TrialLayout:
         keys, view = self.texts.keys, self.view
         is_open = view.state == "answering" or view.loops
         is_ready = view.state == "stroking" or (is_open and view.is_done)
-        go_on = Button(
-            keys["confirm"], "confirm", is_main=True, is_ready=is_ready, explains=is_open
-        )
-        right = [go_on]
+        state = {"is_main": True, "is_ready": is_ready, "explains": is_open}
+        right = [Button(keys["confirm"], "confirm", **state)]
         if view.state == "feeling":
             right.insert(0, Button(keys["stop"], "stop"))
         elif self.trial.timing != "strict":
@@ -362,31 +342,28 @@ class _TrialLayout:
             box = Box(x - width / 2, track.top, width, track.height)
             sheet.fill(box, color, round_px=width / 2)
 
-    def find_slider_width(self) -> float:
-        return min(110 * self.sheet.unit, self.sheet.find_strip("body").width - 8 * self.sheet.unit)
-
-    def wrap_labels(self) -> list[list[str]]:
-        width, scale = LABEL * self.find_slider_width(), self.scale
-        labels = (scale.low_label, scale.high_label)
-        return [self.sheet.wrap(label, width, ui.BODY) for label in labels]
-
-    def find_slider_height(self) -> float:
-        """Compute the height of a slider with the number over it and the words under it, in pixels."""
-        lines = 1 + bool(self.scale.anchors) + max(map(len, self.wrap_labels()))
-        return (ABOVE + TRACK + UNDER) * self.sheet.unit + self.sheet.find_height(lines, ui.BODY)
+    def measure_slider(self) -> tuple[float, list[list[str]], float]:
+        """Compute the width of a slider, the lines of its labels, and its height with the number and the words."""
+        sheet, scale, unit = self.sheet, self.scale, self.sheet.unit
+        width = min(110 * unit, sheet.find_strip("body").width - 8 * unit)
+        words = (scale.low_label, scale.high_label)
+        labels = [sheet.wrap(label, LABEL * width, ui.BODY) for label in words]
+        lines = 1 + bool(scale.anchors) + max(map(len, labels))
+        height = (ABOVE + TRACK + UNDER) * unit + sheet.find_height(lines, ui.BODY)
+        return width, labels, height
 
     def add_slider(self, box: Box) -> None:
         """Set one slider with its number over it and numbers and words of its ends under it, in the middle of a box."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        part, width = self.trial.judgements[0].part, self.find_slider_width()
-        top = box.top + max(0.0, box.height - self.find_slider_height()) / 2
+        part, (width, labels, height) = self.trial.judgements[0].part, self.measure_slider()
+        top = box.top + max(0.0, box.height - height) / 2
         track = Box((sheet.width - width) / 2, top + ABOVE * unit, width, TRACK * unit)
         is_ready, value = view.can_answer, view.markers.get(part)
         step, top = sheet.find_height(1, ui.BODY), track.bottom + UNDER * unit
         if self.scale.anchors:
             self.write_along(track, top, self.scale.anchors)
             top += step
-        for number, lines, at in zip(RATING_RANGE, self.wrap_labels(), (0, 1), strict=True):
+        for number, lines, at in zip(RATING_RANGE, labels, (0, 1), strict=True):
             align, width = ("left", "right")[at], LABEL * track.width
             end = Box(track.left + at * (track.width - width), top, width, step)
             sheet.write(end, f"{number:.0f}", ui.SMALL, color=ui.DIM, align=align)
@@ -434,7 +411,7 @@ class _TrialLayout:
 
         Equal bands, each with its word above, cut the sliders: ITU-R BS.1534-3, attachment 1.
         """
-        sheet, scale, unit = self.sheet, self.scale, self.sheet.unit
+        sheet, scale, view, unit = self.sheet, self.scale, self.view, self.sheet.unit
         rated = [judgement.part for judgement in self.trial.judgements]
         names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}
         width = max(sheet.measure(name, ui.SMALL, bold=True) for name in names.values()) + 9 * unit
@@ -454,29 +431,25 @@ class _TrialLayout:
                 sheet.fill(Box(band.left - 0.1 * unit, grid.top, 0.2 * unit, grid.height), ui.LINE)
         spots = {k: Box(box.left, box.top, width, 2 * step) for k in names if k not in rated}
         for place, name in enumerate(rated):
+            value, color = view.markers.get(name), INK
             line = Box(box.left, box.top + head + place * row, box.width, row)
             track = Box(left, line.top + 0.14 * row, grid.width, 0.72 * row)
-            self.add_row(name, line, track)
+            if name == view.selected:
+                color = ui.BLUE
+                sheet.fill(line, "", line=ui.LINE, line_px=0.2 * unit)
+                sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), ui.BLUE)
+            self.add_track(track, value, is_ready=view.can_rate(name), color=color)
+            if value is not None:
+                room = line.right - track.right - 4 * unit
+                beside = Box(track.right + 3 * unit, line.top, room, line.height)
+                sheet.write(beside, f"{value:.0f}", ui.BODY, bold=True, align="right")
+            if view.can_rate(name):
+                target = Box(track.left - 2 * unit, line.top, track.width + 4 * unit, line.height)
+                sheet.targets.append(Target(target, "mark", name, track))
             spots[name] = Box(box.left + unit, line.top + 0.04 * row, width - unit, 0.92 * row)
         for name, spot in spots.items():
             self.add_part(spot, name, names[name], size=ui.SMALL)
             sheet.targets.append(Target(spot, "feel", name))
-
-    def add_row(self, name: str, line: Box, track: Box) -> None:
-        sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        is_selected, value, color = name == view.selected, view.markers.get(name), INK
-        if is_selected:
-            color = ui.BLUE
-            sheet.fill(line, "", line=ui.LINE, line_px=0.2 * unit)
-            sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), ui.BLUE)
-        self.add_track(track, value, is_ready=view.can_rate(name), color=color)
-        if value is not None:
-            width = line.right - track.right - 4 * unit
-            box = Box(track.right + 3 * unit, line.top, width, line.height)
-            sheet.write(box, f"{value:.0f}", ui.BODY, bold=True, align="right")
-        if view.can_rate(name):
-            target = Box(track.left - 2 * unit, line.top, track.width + 4 * unit, line.height)
-            sheet.targets.append(Target(target, "mark", name, track))
 
     def add_scales(self, box: Box) -> None:
         """Set the sliders of several scales under each other, each with its question above and its ends below."""
@@ -538,10 +511,8 @@ def find_overflows(
     together: Collection[str] = (),
 ) -> list[str]:
     """Find texts that are too long for a screen; together: names of scales that share one."""
-    views = {
-        f"page {key!r}": View("page", "reading", 0, Place(999, 999), page=Page(key))
-        for key in texts.pages
-    }
+    reading = View("page", "reading", 0, Place(999, 999))
+    views = {f"page {key!r}": replace(reading, page=Page(key)) for key in texts.pages}
     for scale in scales:
         parts, asked = (Part("test", ""),), (Judgement("test", "", scale=scale.name),)
         trial = Trial(0, 0, 0, "", "", "replay", "", parts, asked)
@@ -550,8 +521,7 @@ def find_overflows(
         view = View(kind, "answering", 0, Place(0, 0), trial=trial, scale=scale)
         views[f"scale {scale.name!r}"] = view
     for one in questions:
-        view = View("page", "reading", 0, Place(0, 0), page=Page(one.key), question=one)
-        views[f"question {one.name!r}"] = view
+        views[f"question {one.name!r}"] = replace(reading, page=Page(one.key), question=one)
     return [
         f"{name}: {fault}"
         for name, view in views.items()

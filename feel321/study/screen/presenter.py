@@ -20,117 +20,17 @@ from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Place,
 
 DOUBLE_S = 0.4  # a second click within this time is half of a double one: it leaves no page
 TWICE_S = 1.0  # time within which a key counts as pressed twice
-
-
-class Screen:
-    """Shows views and turns events into requests; clock: gives the time in s since the session began."""
-
-    def __init__(
-        self, window: Window, texts: ScreenTexts, *, clock: Callable[[], float], hand: Hand
-    ) -> None:
-        self.window, self._texts, self._clock, self._hand = window, texts, clock, hand
-        self.view = View("page", "reading", 0, Place(0, 0))
-        self.notice = ""
-        self._answer: Answer | None = None
-        self._form: Form | None = None
-        self._paused_s: float | None = None
-        self._confirmed_s = -DOUBLE_S
-        self._events: deque[InputEvent] = deque()
-        self._composed: tuple[View, Sheet] = (self.view, Sheet(0, 0))
-
-    def bring_up(
-        self, view: View, answer: Answer | None = None, *, form: Form | None = None
-    ) -> None:
-        """Begin a screen: nothing of the last one is left, no key that was pressed on it counts for this one."""
-        self.view, self.notice, self._answer, self._form = view, "", answer, form
-        self._events.clear()
-        self._paused_s = None
-        self.show_frame()
-
-    def find_answer(self) -> Answer:
-        """Return the answer to the trial on the screen."""
-        if self._answer is None:
-            raise ValueError("no trial is on the screen; show one before it is answered")
-        return self._answer
-
-    def listen(self) -> Iterator[Request]:
-        """Show a frame, and list what the participant wants; what is left of a frame waits for the next call."""
-        self.show_frame()
-        while self._events:
-            event = self._events.popleft()
-            if event.kind in {"press", "click"}:
-                self.notice = ""
-            request = self._interpret(event)
-            if request and request.name == "confirm" and event.kind == "click":
-                if event.time_s - self._confirmed_s < DOUBLE_S:
-                    continue  # the other half of a double one
-                self._confirmed_s = event.time_s
-            if request:
-                yield request
-        if self.view.trial is not None:
-            self.find_answer().tick(self._clock(), can_answer=self.view.can_answer)
-
-    def show_frame(self) -> None:
-        """Show what is to be on the screen for a frame, and keep what is done in it."""
-        view = replace(self.view, notice=self.notice)
-        if self._is_pausing(self._clock()) and view.can_leave:
-            prompt = "end_next" if view.page else "pause_next"
-            view = replace(view, notice=self._texts.prompts[prompt])
-        if (form := self._form) is not None:
-            fault, _ = form.check()
-            felt = frozenset[str]() if fault else frozenset({form.question.name})
-            view = replace(view, typed=form.typed, chosen=form.chosen, felt=felt)
-        if view.trial is not None:
-            answer = self.find_answer()
-            names = ("markers", "selected", "chosen", "typed", "loops")
-            view = replace(view, **{name: getattr(answer, name) for name in names})
-        self._hand.watch(view)
-        if view != self._composed[0]:
-            self._composed = view, compose(view, self._texts, size=self.window.size)
-        self._events.extend(self.window.show(self._composed[1].items))
-
-    def _interpret(self, event: InputEvent) -> Request | None:
-        trial, page = self.view.trial, self.view.page
-        targets = self._composed[1].targets if event.kind == "click" else []
-        target = next((t for t in targets if t.box.contains(event.x, event.y)), None)
-        name = target.name if target else ""
-        if event.kind == "closed":
-            return Request("close", event.time_s)
-        if event.kind == "hidden":
-            # Nobody sees what is asked: a trial begins anew after a pause, a page waits.
-            return Request("pause", event.time_s) if trial is not None else None
-        if event.kind == "press":
-            is_theirs = page is not None and page.by == "experimenter"
-            confirm = "experimenter" if is_theirs else "next"
-            action = (self._form or self._texts.own_keys).name_action(event.key)
-            name = {confirm: "confirm", "stop": "stop", "pause": "pause"}.get(action, "")
-        if name == "pause" and not (event.kind == "click" and trial):
-            # A key must be pressed twice; the button of a trial is enough.
-            is_second = self._is_pausing(event.time_s)
-            self._paused_s = None if is_second else event.time_s
-            return Request("pause", event.time_s) if is_second else None
-        if name in {"confirm", "stop", "pause"}:
-            return Request(name, event.time_s)
-        if self._form is not None:
-            self._form.take(event, target)
-        if trial is None:
-            return None
-        return self.find_answer().take(event, target, can_answer=self.view.can_answer)
-
-    def _is_pausing(self, time_s: float) -> bool:
-        """Whether a pause was asked for once, a short time ago."""
-        return self._paused_s is not None and time_s - self._paused_s <= TWICE_S
-
-
 LEFT = "the participant ended it for today"
-
 LOOP_S = 60.0  # how long a vibration goes on and on at most, until it is asked for again
 LOOP_PAUSE_S = 0.1  # before it begins again, so that the limit of the rig counts from 0
 SILENCE_S = 1.0  # longest wait for an output to fall silent before it is asked what happened
 
 
 class ScreenPresenter:
-    """Shows, plays, and passes on what the participant does: `study.session.ports.Presenter`."""
+    """Shows, plays, and passes on what the participant does: `study.session.ports.Presenter`.
+
+    clock: gives the time in s since the session began. hand: of a simulated participant.
+    """
 
     def __init__(
         self,
@@ -142,13 +42,90 @@ class ScreenPresenter:
         surfaces: Mapping[str, Surface],
         hand: Hand | None = None,
     ) -> None:
-        self._hand = hand or Hand()
-        self._screen = Screen(window, texts, clock=clock, hand=self._hand)
-        self._output, self._texts, self._clock, self._surfaces = output, texts, clock, surfaces
+        self._window, self._output, self._texts, self._clock = window, output, texts, clock
+        self._surfaces, self._hand = surfaces, hand or Hand()
+        self._view = View("page", "reading", 0, Place(0, 0))
+        self._composed: tuple[View, Sheet] = (self._view, Sheet(0, 0))
+        self._answer: Answer  # to the trial on the screen
+        self._form: Form | None = None
+        self._notice, self._paused_s, self._confirmed_s = "", -inf, -inf
+        self._events: deque[InputEvent] = deque()
         self._acts: deque[Act] = deque()
-        self._possible_s = 0.0
+        self._possible_s = self._asked_s = 0.0
         self._is_switching = self._goes_round = False
-        self._asked_s = 0.0
+
+    # Frames, and what is done in them.
+
+    def _bring_up(self, view: View, form: Form | None = None) -> None:
+        """Begin a screen: nothing of the last one is left, no key that was pressed on it counts for this one."""
+        self._view, self._notice, self._form, self._paused_s = view, "", form, -inf
+        self._events.clear()
+        self._show_frame()
+
+    def _listen(self) -> Iterator[Request]:
+        """Show a frame, and list what the participant wants; what is left of a frame waits for the next call."""
+        self._show_frame()
+        while self._events:
+            event = self._events.popleft()
+            if event.kind in {"press", "click"}:
+                self._notice = ""
+            request = self._interpret(event)
+            if request and request.name == "confirm" and event.kind == "click":
+                if event.time_s - self._confirmed_s < DOUBLE_S:
+                    continue  # the other half of a double one
+                self._confirmed_s = event.time_s
+            if request:
+                yield request
+        if self._view.trial is not None:
+            self._answer.tick(self._clock(), can_answer=self._view.can_answer)
+
+    def _show_frame(self) -> None:
+        """Show what is to be on the screen for a frame, and keep what is done in it."""
+        view = replace(self._view, notice=self._notice)
+        if self._clock() - self._paused_s <= TWICE_S and view.can_leave:
+            prompt = "end_next" if view.page else "pause_next"
+            view = replace(view, notice=self._texts.prompts[prompt])
+        if (form := self._form) is not None:
+            fault, _ = form.check()
+            felt = frozenset[str]() if fault else frozenset({form.question.name})
+            view = replace(view, typed=form.typed, chosen=form.chosen, felt=felt)
+        if view.trial is not None:
+            names = ("markers", "selected", "chosen", "typed", "loops")
+            view = replace(view, **{name: getattr(self._answer, name) for name in names})
+        self._events.extend(self._hand.watch(view))
+        if view != self._composed[0]:
+            self._composed = view, compose(view, self._texts, size=self._window.size)
+        self._events.extend(self._window.show(self._composed[1].items))
+
+    def _interpret(self, event: InputEvent) -> Request | None:
+        trial, page, time_s = self._view.trial, self._view.page, event.time_s
+        targets = self._composed[1].targets if event.kind == "click" else []
+        target = next((t for t in targets if t.box.contains(event.x, event.y)), None)
+        name = target.name if target else ""
+        if event.kind == "closed":
+            return Request("close", time_s)
+        if event.kind == "hidden":
+            # Nobody sees what is asked: a trial begins anew after a pause, a page waits.
+            return Request("pause", time_s) if trial is not None else None
+        if event.kind == "press":
+            is_theirs = page is not None and page.by == "experimenter"
+            confirm = "experimenter" if is_theirs else "next"
+            action = (self._form or self._texts.own_keys).name_action(event.key)
+            name = {confirm: "confirm", "stop": "stop", "pause": "pause"}.get(action, "")
+        if name == "pause" and not (event.kind == "click" and trial):
+            # A key must be pressed twice; the button of a trial is enough.
+            is_second = time_s - self._paused_s <= TWICE_S
+            self._paused_s = -inf if is_second else time_s
+            return Request("pause", time_s) if is_second else None
+        if name in {"confirm", "stop", "pause"}:
+            return Request(name, time_s)
+        if self._form is not None:
+            self._form.take(event, target)
+        if trial is None:
+            return None
+        return self._answer.take(event, target, can_answer=self._view.can_answer)
+
+    # Pages.
 
     def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
         """Show a page until whoever it is for is done with it, for its least time at least."""
@@ -159,17 +136,16 @@ class ScreenPresenter:
         return self._show(Page(question.key), place, Form(question, self._texts.own_keys))
 
     def _show(self, page: Page, place: Place, form: Form | None = None) -> Confirm | Abort:
-        screen, question = self._screen, form.question if form else None
-        number, left_s = screen.view.screen + 1, ceil(page.least_s)
-        view = View("page", "reading", number, place, page, question, left_s=left_s)
-        screen.bring_up(view, form=form)
+        question, left_s = form.question if form else None, ceil(page.least_s)
+        view = View("page", "reading", self._view.screen + 1, place, page, question, left_s=left_s)
+        self._bring_up(view, form)
         shown_s = self._clock()
         while True:
             left_s = ceil(max(0.0, page.least_s - self._clock() + shown_s))
-            screen.view = replace(screen.view, left_s=left_s)
-            for request in screen.listen():
+            self._view = replace(self._view, left_s=left_s)
+            for request in self._listen():
                 stood_s = max(0.0, request.time_s - shown_s)
-                if (end := find_end(request)) is not None and screen.view.can_leave:
+                if (end := find_end(request)) is not None and self._view.can_leave:
                     return Abort(request.time_s, end.reason if isinstance(end, Abort) else LEFT)
                 if request.name not in {"confirm", "close"}:
                     continue
@@ -182,27 +158,27 @@ class ScreenPresenter:
                 if request.name == "confirm":
                     self.refuse(fault, (form.question.describe_range(),) if form else ())
 
+    # Trials.
+
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Show a trial, all markers unset."""
-        answer, surface = (
-            Answer(trial, scale, self._texts.own_keys),
-            self._surfaces.get(trial.recording),
-        )
+        self._answer = Answer(trial, scale, self._texts.own_keys)
+        sample, picture = self._surfaces.get(trial.recording) or (None, None)
+        number, kind = self._view.screen + 1, self._answer.kind
+        view = View(kind, "feeling", number, place, None, None, trial, scale)
         self._acts.clear()
-        sample, picture = surface or (None, None)
-        view = View(answer.kind, "feeling", self._screen.view.screen + 1, place, None, None, trial)
-        view = replace(view, scale=scale, picture=picture, sample=sample or "")
-        self._screen.bring_up(view, answer)
+        self._bring_up(replace(view, picture=picture, sample=sample or ""))
         self._possible_s = self._clock()
 
     def play(
         self, part: Part, stimulus: ports.Felt, *, gap_s: float, due_s: float | None = None
     ) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
-        self._announce("feeling", part)
+        self._view = replace(self._view, state="feeling", playing=part.name)
+        self._show_frame()
         self._hand.feel(part, stimulus)
-        answer, goes_round = self._screen.find_answer(), self._goes_round
-        late, goes_on = self._screen.window.late_frames, self._is_switching and answer.loops
+        answer, goes_round = self._answer, self._goes_round
+        late, goes_on = self._window.late_frames, self._is_switching and answer.loops
         self._goes_round = self._is_switching = False
         self._asked_s = self._asked_s if goes_round else self._clock()
         pause_s = LOOP_PAUSE_S if goes_round else gap_s
@@ -220,43 +196,8 @@ class ScreenPresenter:
             self._goes_round = True
             self._acts.extend(answer.settle(self._clock()))
             self._acts.append(Feel(self._clock(), part.name))  # again, until something else is done
-        late = self._screen.window.late_frames - late
+        late = self._window.late_frames - late
         return replace(playback, act=act, measured={**playback.measured, "late_frames": late})
-
-    def prompt(self, part: Part) -> Playback:
-        """Ask the participant to stroke the real surface, and wait until that is done."""
-        self._announce("stroking", part)
-        began_s = self._clock()
-        while True:
-            for request in self._screen.listen():
-                end = find_end(request)
-                if end is not None or request.name == "confirm":
-                    self._end_part(part, is_felt=end is None)
-                    return Playback(began_s, began_s, completed=end is None, act=end)
-
-    def wait(self, limit_s: float | None = None) -> Act:
-        """Wait for the participant's next act on the trial that is shown."""
-        self._screen.view = replace(self._screen.view, state="answering", playing="")
-        answer = self._screen.find_answer()
-        while not self._acts:
-            for request in self._screen.listen():
-                self._acts.extend(_list_acts(request, answer, possible_s=self._possible_s))
-            self._acts.extend(answer.settle(self._clock()))
-            if limit_s is not None:
-                left_s = limit_s - self._clock() + self._possible_s
-                self._screen.view = replace(self._screen.view, left_s=max(1, ceil(left_s)))
-                if left_s <= 0 and not self._acts:
-                    return ports.TimedOut(self._clock())
-        return self._acts.popleft()
-
-    def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
-        """Explain to the participant why an act was not accepted, until the next one."""
-        self._screen.notice = self._texts.explain(reason, parts, self._screen.view.trial)
-
-    def _announce(self, state: str, part: Part) -> None:
-        """Show which part comes before it is felt."""
-        self._screen.view = replace(self._screen.view, state=state, playing=part.name)
-        self._screen.show_frame()
 
     def _watch_playing(self) -> tuple[Pause | Abort | None, bool]:
         """Show frames until the output is silent: what ends the trial or feels another part stops it.
@@ -264,13 +205,13 @@ class ScreenPresenter:
         Returns the act that ends the trial, and whether the vibration came to its end.
         """
         act: Pause | Abort | None = None
-        stopped_s, answer = inf, self._screen.find_answer()
+        stopped_s = inf
         while self._output.is_playing and self._clock() - stopped_s < SILENCE_S:
-            for request in self._screen.listen():
-                is_switch = request.name == "feel" and self._screen.view.kind == "rows"
-                is_switch = is_switch or (request.name == "confirm" and answer.loops)
+            for request in self._listen():
+                is_switch = request.name == "feel" and self._view.kind == "rows"
+                is_switch = is_switch or (request.name == "confirm" and self._answer.loops)
                 if is_switch:
-                    self._acts.extend(_list_acts(request, answer, possible_s=self._possible_s))
+                    self._acts.extend(self._list_acts(request))
                     self._is_switching = request.name == "feel"
                 act = act or find_end(request)
                 if act or is_switch or request.name == "stop":
@@ -278,14 +219,59 @@ class ScreenPresenter:
                     stopped_s = min(stopped_s, self._clock())
         return act, stopped_s == inf
 
+    def prompt(self, part: Part) -> Playback:
+        """Ask the participant to stroke the real surface, and wait until that is done."""
+        self._view = replace(self._view, state="stroking", playing=part.name)
+        self._show_frame()
+        began_s = self._clock()
+        while True:
+            for request in self._listen():
+                end = find_end(request)
+                if end is not None or request.name == "confirm":
+                    self._end_part(part, is_felt=end is None)
+                    return Playback(began_s, began_s, completed=end is None, act=end)
+
     def _end_part(self, part: Part, *, is_felt: bool) -> None:
         # What was felt to its end stays felt, though it be cut short when it is felt again.
-        before = self._screen.view.felt
+        before = self._view.felt
         felt = before | ({part.name} if is_felt else set())
-        self._screen.view = replace(self._screen.view, felt=felt, playing="")
-        self._screen.find_answer().felt = felt
-        if not self._screen.find_answer().loops or felt != before:
+        self._view = replace(self._view, felt=felt, playing="")
+        self._answer.felt = felt
+        if not self._answer.loops or felt != before:
             self._possible_s = self._clock()  # what goes on and on keeps nobody from answering
+
+    def wait(self, limit_s: float | None = None) -> Act:
+        """Wait for the participant's next act on the trial that is shown."""
+        self._view = replace(self._view, state="answering", playing="")
+        while not self._acts:
+            for request in self._listen():
+                self._acts.extend(self._list_acts(request))
+            self._acts.extend(self._answer.settle(self._clock()))
+            if limit_s is not None:
+                left_s = limit_s - self._clock() + self._possible_s
+                self._view = replace(self._view, left_s=max(1, ceil(left_s)))
+                if left_s <= 0 and not self._acts:
+                    return ports.TimedOut(self._clock())
+        return self._acts.popleft()
+
+    def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
+        """Explain to the participant why an act was not accepted, until the next one."""
+        self._notice = self._texts.explain(reason, parts, self._view.trial)
+
+    def _list_acts(self, request: Request) -> Iterator[Act]:
+        """Turn a request into acts; markers come to rest before anything else is done."""
+        time_s, answer = request.time_s, self._answer
+        if (end := find_end(request)) is not None:
+            yield end
+        elif request.name == "feel":
+            yield from answer.settle(time_s, rest_s=0.0)
+            yield Feel(time_s, request.part)
+        elif request.name == "confirm" and not (
+            answer.finish_typing(time_s) or answer.go_to_open()
+        ):
+            # Enter after digits that wait for another sets their value only: it must be seen before it counts.
+            yield from answer.settle(time_s, rest_s=0.0)
+            yield Confirm(time_s, answer.values, max(0.0, time_s - self._possible_s))
 
 
 def find_end(request: Request) -> Pause | Abort | None:
@@ -293,17 +279,3 @@ def find_end(request: Request) -> Pause | Abort | None:
     if request.name == "close":
         return Abort(request.time_s, "the window was closed")
     return Pause(request.time_s) if request.name == "pause" else None
-
-
-def _list_acts(request: Request, answer: Answer, *, possible_s: float) -> Iterator[Act]:
-    """Turn a request into acts; markers come to rest before anything else is done."""
-    time_s = request.time_s
-    if (end := find_end(request)) is not None:
-        yield end
-    elif request.name == "feel":
-        yield from answer.settle(time_s, rest_s=0.0)
-        yield Feel(time_s, request.part)
-    elif request.name == "confirm" and not (answer.finish_typing(time_s) or answer.go_to_open()):
-        # Enter after digits that wait for another sets their value only: it must be seen before it counts.
-        yield from answer.settle(time_s, rest_s=0.0)
-        yield Confirm(time_s, answer.values, max(0.0, time_s - possible_s))

@@ -20,12 +20,7 @@ from feel321.protocols.trial import RATING_RANGE
 GROUND, INK = "#14171c", "#f4f4f2"  # light on dark tires less in a dim room
 PANEL, LINE, DIM = "#20252d", "#4a515c", "#b3b8c0"
 BLUE, ORANGE = "#56b4e9", "#e69f00"  # Okabe and Ito's hues, for every kind of colour vision
-BODY, SMALL, QUESTION, TITLE = (
-    3.0,
-    2.8,
-    4.0,
-    5.6,
-)  # sizes of letters (em) in units; at 1 m at least 2.2
+BODY, SMALL, QUESTION, TITLE = 3.0, 2.8, 4.0, 5.6  # letters (em) in units; at 1 m at least 2.2
 FONT = "DejaVu Sans"
 LEADING = 1.3  # height of a line of text, in heights of its letters (em)
 SLACK = 1.04  # factor by which the window's text engine may set a line wider: whole pixels
@@ -117,17 +112,14 @@ class Target(NamedTuple):
 
 
 class Button(NamedTuple):
-    """A button; share: how much of the time until it is ready has gone by, from 0 to 1.
-
-    explains: whether it can be clicked before it is ready, to learn what is missing.
-    """
+    """A button: its text and what it asks for."""
 
     text: str
     name: str
     is_main: bool = False
     is_ready: bool = True
-    share: float = 0.0
-    explains: bool = False
+    share: float = 0.0  # of the time until it is ready, which has gone by
+    explains: bool = False  # it can be clicked before it is ready, to learn what is missing
 
 
 def split_key(text: str) -> tuple[str, str]:

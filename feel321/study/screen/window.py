@@ -1,11 +1,8 @@
 """The window that PsychoPy opens, and the keys, clicks and signals that reach it. The only module that knows PsychoPy.
 
-PsychoPy is imported when a window is opened: that takes one to two seconds from a warm disk and up to eight from a
-cold one. Only its window, text, polygons and pictures are used; its Slider cannot be moved by keys.
-
-Keys are read from the window's own events. PsychoPy's Keyboard stamps them more finely, but reads the devices
-themselves: what the experimenter types in the terminal would answer for the participant. Events are collected every
-millisecond or two between frames, and stamped by the session's own clock.
+PsychoPy is imported when a window is opened, which takes one to eight seconds. Only its window, text, polygons and
+pictures are used; its Slider cannot be moved by keys. Its Keyboard stamps keys more finely than the window, but reads
+the devices themselves: what the experimenter types in the terminal would answer for the participant.
 
 Python raises what Ctrl-C means wherever it happens to be: in the middle of a record of the journal, or in a callback
 of the window system, where the exception is printed and lost. While a screen is open, the first signal waits until a
@@ -95,16 +92,13 @@ def hold_signals() -> Iterator[Callable[[], None]]:
 
 
 class Window:
-    """A window that shows items and collects events; clock: gives the time in s since the session began.
-
-    drawn: PsychoPy's objects of the items that are shown.
-    """
+    """A window that shows items and collects events; clock: gives the time in s since the session began."""
 
     def __init__(
         self, handle: Foreign, clock: Callable[[], float], deliver_signals: Callable[[], None]
     ) -> None:
         self.handle, self.clock, self.deliver_signals = handle, clock, deliver_signals
-        self.drawn: dict[sheet.Item, Foreign] = {}
+        self.drawn: dict[sheet.Item, Foreign] = {}  # PsychoPy's objects of what is shown
         self.late_frames = 0
         self._events: list[InputEvent] = []
         self._shown: tuple[sheet.Item, ...] = ()
@@ -171,13 +165,9 @@ class Window:
             return image
         if isinstance(item, sheet.Area):
             inner = box.grow(-item.line_px / 2) if item.line else box
-            return BaseShapeStim(
-                self.handle,
-                vertices=[self._turn_up(*at) for at in sheet.round_corners(inner, item.round_px)],
-                fillColor=item.fill or None,
-                lineColor=item.line or None,
-                lineWidth=item.line_px,
-            )
+            corners = [self._turn_up(*at) for at in sheet.round_corners(inner, item.round_px)]
+            colors = {"fillColor": item.fill or None, "lineColor": item.line or None}
+            return BaseShapeStim(self.handle, vertices=corners, lineWidth=item.line_px, **colors)
         x = {"left": box.left, "right": box.right}.get(item.align, box.left + box.width / 2)
         return TextStim(
             self.handle,

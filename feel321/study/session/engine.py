@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, fields, replace
+from functools import partial
 from itertools import takewhile
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -31,15 +32,9 @@ if TYPE_CHECKING:
 Keep = Callable[[str, int, float | str | None], str]
 """Keeps a personal answer (question, occasion, value) apart, and returns its salted digest."""
 
-LOST_IN_A_ROW = (
-    2  # trials that the device lost, after which the experimenter is called, and after each more
-)
-BROKEN = (
-    "the device failed twice in a row; check it, then resume"  # while the experimenter is called
-)
-TOLD_S = (
-    1.0  # for which the page that time was up stays: a key that came too late must not take it away
-)
+LOST_IN_A_ROW = 2  # trials lost by the device, after which, and after each more, we are called
+BROKEN = "the device failed twice in a row; check it, then resume"
+TOLD_S = 1.0  # that the page *time is up* stays: a key that came too late must not take it away
 LATE_S = 0.1  # a trial that begins so much after it was due moves the schedule
 
 
@@ -68,9 +63,8 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
     """
     scales = read_scales() if scales is None else scales
     by_code, stopped = list_by_code(stimuli, seed=plan.seed), ""
-    session = Session(
-        plan, presenter, journal, stimuli=by_code, scales=scales, keep=keep, on_step=on_step
-    )
+    own = partial(Session, stimuli=by_code, scales=scales, keep=keep, on_step=on_step)
+    session = own(plan, presenter, journal)
     try:
         session.lead()
     except Stopped as stop:
@@ -81,8 +75,7 @@ def run_session(  # noqa: PLR0913 - all that a session needs besides its plan
             words = f"{type(error).__name__}: {error}".removesuffix(": ")
             journal.write(events.SessionAborted(words, journal.records.find_elapsed()))
         raise
-    agenda = session.agenda
-    return Place(agenda.answered, agenda.total, given_up=agenda.given_up, stopped=stopped)
+    return replace(session.find_place(), stopped=stopped)
 
 
 def find_choices(protocol: str) -> tuple[str, ...]:
@@ -100,16 +93,13 @@ def find_gap(trial: Trial, task: Task | None, flow: Flow) -> float:
 
 @dataclass
 class Session:
-    """A session under way: the agenda, the blocks and the schedule, as the journal so far leaves them.
-
-    stimuli: by blind code.
-    """
+    """A session under way: the agenda, the blocks and the schedule, as the journal so far leaves them."""
 
     plan: Plan
     presenter: Presenter
     journal: Journal
     _: KW_ONLY
-    stimuli: Mapping[str, Stimulus]
+    stimuli: Mapping[str, Stimulus]  # by blind code
     scales: Mapping[str, Scale]
     keep: Keep | None = None
     on_step: Callable[[Place], None] = lambda _: None
@@ -126,6 +116,10 @@ class Session:
         self._due_s: float | None = None
         self._paced, self._is_late, self._told = "", False, set[str]()
 
+    def find_place(self) -> Place:
+        """Find how far the session has come."""
+        return Place(self.agenda.answered, self.agenda.total, given_up=self.agenda.given_up)
+
     def take(self, event: events.SessionEvent) -> None:
         """Take an event of the journal: what comes next follows from it."""
         advance(self.agenda, event, self.trials, detection=self.detection)
@@ -133,13 +127,12 @@ class Session:
     def lead(self) -> None:
         """Lead the participant from step to step to the end; some pages come in between, aside from the agenda."""
         agenda, records, fault, notice = self.agenda, self.journal.records, "", ""
-        self._restart()
         opening = {kind.event for kind in (*events.OPENING, events.WarmUpBegun)}
         recent = takewhile(lambda record: record.event in opening, reversed(records))
         is_back = any(record.event == events.SessionResumed.event for record in recent)
         aside = Page("ready") if is_back and isinstance(agenda.ask(), Trial) else None
         while True:
-            place = Place(agenda.answered, agenda.total, given_up=agenda.given_up)
+            place = self.find_place()
             self.on_step(replace(place, fault=fault, notice=notice))
             notice = ""
             if (step := aside or agenda.ask()) is None:
@@ -148,25 +141,20 @@ class Session:
                 place = replace(place, attempt=agenda.attempt(step.number))
                 aside, fault, notice = self._conduct_trial(step, place)
                 continue
-            self._restart()
             try:
                 self._conduct_page(step, place)
             except Stopped as stop:
-                if fault:
-                    raise Stopped(BROKEN, stop.args[1]) from None
-                raise
+                raise Stopped(BROKEN if fault else stop.args[0], stop.args[1]) from None
             self.take(records[-1].content)
             aside, fault = None, ""
         if not records.has(events.SessionFinished):
             self.journal.write(events.SessionFinished(agenda.done, agenda.given_up))
 
-    def _restart(self) -> None:
-        self._due_s, self._is_late = None, False
-
     # Pages.
 
     def _conduct_page(self, page: Page, place: Place) -> None:
         """Show a page or a question until it is left, and record that."""
+        self._due_s, self._is_late = None, False
         if (question := find_question(self.plan.questions, page)) is not None:
             self._ask(question, place)
         else:
@@ -243,7 +231,7 @@ class Session:
                     attempt.answer()
             except _Paused as pause:
                 attempt.write(events.TrialPaused, pause.args[0])
-                self._restart()
+                self._due_s, self._is_late = None, False
                 time_s = self._read_page(Page("pause"), place).time_s
                 attempt.write(events.TrialContinued, time_s)
             else:
@@ -299,25 +287,28 @@ class _Attempt(events.Attempt):
             if not playback.completed or not events.UNANSWERABLE.isdisjoint(faults):
                 return
 
-    def _prepare(self) -> tuple[float, Mapping[str, ports.Tone | ports.Scaled]]:
+    def _prepare(self) -> tuple[float, dict[str, ports.Tone | ports.Scaled]]:
         """Find the silence before each part, and what parts hold that are no stimuli of the set as they are."""
-        session, trial = self._session, self.trial
+        session, trial, gap_s = (
+            self._session,
+            self.trial,
+            find_gap(self.trial, self._task, self._flow),
+        )
+        own: dict[str, ports.Tone | ports.Scaled] = {}
         if session.detection and trial.protocol == THRESHOLD:
             block, shown = session.detection.block, session.detection.present(trial)
-            frequency_hz = session.detection.find_frequency(trial)
+            frequency_hz, gap_s = session.detection.find_frequency(trial), block.gap_s
             self.write(events.TonePresented, frequency_hz, shown.interval, shown.level_db)
-            levels = dict.fromkeys(INTERVALS) | {INTERVALS[shown.interval - 1]: shown.level_db}
-            tones = {k: ports.Tone(frequency_hz, block.duration_s, v) for k, v in levels.items()}
-            return block.gap_s, tones
-        gap_s = find_gap(trial, self._task, self._flow)
-        if not session.matching or trial.protocol != MATCHING:
-            return gap_s, {}
-        offset_db = session.matching.find_offset(trial.number, self._marker)
-        gains = {part: (offset_db if part.name == SECOND else 0.0) for part in trial.parts}
-        return gap_s, {
-            part.name: ports.Scaled(session.stimuli[str(part.stimulus_id)], gain - ATTENUATION_DB)
-            for part, gain in gains.items()
-        }
+            for place, name in enumerate(INTERVALS, start=1):
+                level_db = shown.level_db if place == shown.interval else None
+                own[name] = ports.Tone(frequency_hz, block.duration_s, level_db)
+        elif session.matching and trial.protocol == MATCHING:
+            offset_db = session.matching.find_offset(trial.number, self._marker)
+            for part in trial.parts:
+                gain_db = (offset_db if part.name == SECOND else 0.0) - ATTENUATION_DB
+                stimulus = session.stimuli[str(part.stimulus_id)]
+                own[part.name] = ports.Scaled(stimulus, gain_db)
+        return gap_s, own
 
     def is_spoiled(self) -> bool:
         """Check whether the attempt can no longer be answered, and record its end if so."""

@@ -67,21 +67,21 @@ class SessionBegun(SessionEvent, event="begun"):
 
     def __post_init__(self) -> None:
         """Refuse what would be no presenter, rig or certificate to whoever reads it."""
-
-        def check(entry: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-            value = entry.get(name)
-            if value is None or isinstance(value, dict):
-                return value or {}
-            raise ValueError(f"{name} must be an object, got {value!r}")
-
-        presenter = check(self.identity, "presenter")
+        presenter = _find_object(self.identity, "presenter")
         if presenter.get("simulated", False) not in {True, False}:
             raise ValueError(f"presenter.simulated must be true or false, got {presenter!r}")
-        check(check(presenter, "rig"), "sensor")
+        _find_object(_find_object(presenter, "rig"), "sensor")
         if not isinstance(self.identity.get("calibration"), str):
-            certificate = check(self.identity, "calibration")
+            certificate = _find_object(self.identity, "calibration")
             if certificate and not isinstance(certificate.get("id"), str):
                 raise ValueError(f"calibration must have a text as its id, got {certificate!r}")
+
+
+def _find_object(entry: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    value = entry.get(name)
+    if value is None or isinstance(value, dict):
+        return value or {}
+    raise ValueError(f"{name} must be an object, got {value!r}")
 
 
 class SessionResumed(SessionEvent, event="resumed"):
@@ -141,7 +141,7 @@ class QuestionAnswered(SessionEvent, event="answered"):
     time_s: float
     stood_s: float
     sha256: str = ""
-    optional: ClassVar[frozenset[str]] = frozenset({"sha256"})
+    optional = frozenset({"sha256"})
 
 
 class SessionFinished(SessionEvent, event="finished"):
@@ -223,35 +223,29 @@ class TonePresented(AttemptEvent, event="tone"):
 
 @dataclass(frozen=True)
 class Played:
-    """How a part was felt: what the device reports, the engine passes on and the journal keeps.
-
-    onset_s: None where it never began. underruns: times that the device ran dry within the samples. clipped: samples
-    that were limited. error: the device's message. dac_source: `device` where the onset is the device's own, `latency`
-    where it is an estimate. delivered: what the hand got (`actuator.delivered`), with `coherence` if a sensor measured
-    it. fault, notice: what is wrong with the rig (`actuator.faults`); a notice where the hand got what was asked.
-    """
+    """How a part was felt: what the device reports, the engine passes on and the journal keeps."""
 
     requested_s: float
-    onset_s: float | None
-    underruns: int = 0
-    clipped: int = 0
+    onset_s: float | None  # None where it never began
+    underruns: int = 0  # times that the device ran dry within the samples
+    clipped: int = 0  # samples that were limited
     completed: bool = True
-    error: str = ""
+    error: str = ""  # the device's message
     measured: Mapping[str, float] = field(default_factory=dict)
-    dac_source: str = ""
-    delivered: Mapping[str, float] = field(default_factory=dict)
+    dac_source: str = ""  # `device` where the onset is the device's own, `latency` where estimated
+    delivered: Mapping[str, float] = field(default_factory=dict)  # what the hand got
     delivered_sha256: str = ""
-    fault: str = ""
-    notice: str = ""
+    fault: str = ""  # what is wrong with the rig (`actuator.faults`)
+    notice: str = ""  # likewise, where the hand got what was asked
 
     def __post_init__(self) -> None:
         """Take numbers of the many kinds that devices report, and none of those that are none."""
         put, onset_s = object.__setattr__, self.onset_s  # an audit reads tens of thousands
-        put(self, "requested_s", float(self.requested_s))
         onset_s = None if onset_s is None or not isfinite(onset_s) else float(onset_s)
+        put(self, "requested_s", float(self.requested_s))
         put(self, "onset_s", onset_s)
-        for name in ("underruns", "clipped"):
-            put(self, name, int(getattr(self, name)))
+        put(self, "underruns", int(self.underruns))
+        put(self, "clipped", int(self.clipped))
         put(self, "completed", bool(self.completed))
         for name in ("measured", "delivered"):
             numbers = getattr(self, name)
@@ -267,9 +261,14 @@ class PartEvent(AttemptEvent):
 class PartPlayed(Played, PartEvent, event="played"):
     """A stimulus was played."""
 
-    optional: ClassVar[frozenset[str]] = frozenset({
-        "measured", "dac_source", "delivered", "delivered_sha256", "fault", "notice",
-    })  # fmt: skip
+    optional = frozenset((
+        "measured",
+        "dac_source",
+        "delivered",
+        "delivered_sha256",
+        "fault",
+        "notice",
+    ))
 
 
 class SurfaceStroked(PartPlayed, event="prompted"):
@@ -335,7 +334,7 @@ UNCALIBRATED = "uncalibrated"  # in a header, in place of the identity of a vali
 
 def find_kind(name: str) -> type[SessionEvent]:
     """Find the type of an event."""
-    if not isinstance(name, str) or name not in EVENTS:
+    if name not in EVENTS:
         raise ValueError(f"holds {name!r}, which no session writes")
     return EVENTS[name]
 

@@ -139,19 +139,16 @@ def _read_line(line: bytes, previous: str, *, sequence: int) -> Record:
 
 @dataclass(slots=True)
 class Journal:
-    """A journal open for writing; hold the session's lock while it is.
-
-    notice: repairs that were made when it was opened, for the experimenter. tip: SHA-256 of the last line. is_open:
-    whether it takes records. listeners: called with every record that is on the disk; they must not wait.
-    """
+    """A journal open for writing; hold the session's lock while it is."""
 
     path: Path
     now: Clock
     records: Records = field(default_factory=Records)
-    notice: str = ""
-    tip: str = START
-    is_open: bool = True
+    notice: str = ""  # repairs that were made when it was opened, for the experimenter
+    tip: str = START  # SHA-256 of the last line
+    is_open: bool = True  # whether it takes records
     listeners: list[Callable[[Record], None]] = field(default_factory=list)
+    """Called with every record that is on the disk; they must not wait."""
 
     def write(self, event: SessionEvent) -> None:
         """Append one record; it is on the disk when this returns.
@@ -161,15 +158,14 @@ class Journal:
         where the chain goes on.
         """
         utc = self.now().isoformat(timespec="milliseconds")
-        written = [event]
         if self.records:
             last, this = (datetime.fromisoformat(text) for text in (self.records[-1].utc, utc))
-            back_s = (last - this).total_seconds()
-            written = [events.ClockStepped(back_s), event] if back_s > 0 else written
-        for one in written:
-            self._append(Record(len(self.records), utc, one.event, one.to_data()))
+            if (back_s := (last - this).total_seconds()) > 0:
+                self._append(events.ClockStepped(back_s), utc)
+        self._append(event, utc)
 
-    def _append(self, record: Record) -> None:
+    def _append(self, event: SessionEvent, utc: str) -> None:
+        record = Record(len(self.records), utc, event.event, event.to_data())
         if not self.is_open:
             raise OSError(
                 f"{self.path}: an earlier write was broken off, the journal is closed; reopen it to resume"

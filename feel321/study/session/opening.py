@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import datetime, timedelta
 from importlib.metadata import version
 from platform import platform, python_version
@@ -23,18 +23,13 @@ if TYPE_CHECKING:
     from feel321.study.session.journal import Clock, Journal
 
 JOURNAL_FORMAT = 1  # in the header of a journal
+FROZEN_FILE = "frozen.json"  # of a study's folder: what was decided before the ratings
 
-FROZEN_FILE = (
-    "frozen.json"  # what was decided before the ratings, in the study's folder (`feel321 freeze`)
-)
 # Of a header and a later opening: may not even differ where nobody has done anything yet; may differ, for other
 # versions may go on with a session and choices be amended; may differ where somebody accepts it: a rig is repaired.
 PLANNED = ("participant", "plan_sha256", "stimuli_sha256", "seed")
 UNCOMPARED = ("format", "session", "versions", "system", "clock", "frozen")
 ACCEPTABLE = ("presenter.rig", "calibration")
-
-_OPENING = {kind.event for kind in events.OPENING}
-_UNTOUCHED = {kind.event for kind in events.UNTOUCHED}
 
 
 def identify_frozen(folder: Path) -> dict[str, str]:
@@ -69,8 +64,27 @@ def open_session(
     with hold_lock(folder / ".lock", busy=busy):
         if (folder / TOMBSTONE_FILE).exists():
             raise ValueError(f"{folder}: {folder.name} was withdrawn; take another code")
-        stored = _require_same(folder, plan)
-        yield stored, _Opening(folder, stored, dict(identity), now).open(stale, accept_rig)
+        stored, files = _require_same(folder, plan), journals.list_journals(folder)
+        number = len(files) or 1
+        if files:
+            journal = journals.require_journal(files[-1], now=now)
+        else:
+            journal = journals.create_journal(folder / journals.name_journal(number), now=now)
+        if journal.records.has(events.SessionReleased):
+            raise ValueError(
+                f"{journal.path}: {folder.name} was released, the place in the design is free; take another code"
+            )
+        header = _make_header(journal, stored, identity, session=number)
+        if journal.records.find_header() is None:
+            journal.write(header)
+        elif not _go_on(journal, header, stale=stale, accept_rig=accept_rig):
+            number += 1
+            # After a crash in between, the second step alone is due.
+            if not journal.records.has(events.SessionSuperseded):
+                journal.write(events.SessionSuperseded(number))
+            journal = journals.create_journal(folder / journals.name_journal(number), now=now)
+            journal.write(_make_header(journal, stored, identity, session=number))
+        yield stored, journal
 
 
 def _require_same(folder: Path, plan: Plan) -> Plan:
@@ -97,92 +111,67 @@ def _require_same(folder: Path, plan: Plan) -> Plan:
     return stored
 
 
-@dataclass(frozen=True, slots=True)
-class _Opening:
-    """A session that is begun, resumed, or left for a new one."""
-
-    folder: Path
-    plan: Plan
-    identity: dict[str, Any]
-    now: Clock
-
-    def open(self, stale: Stale, accept_rig: bool) -> Journal:  # noqa: FBT001 - called once
-        """Open the newest journal, or begin the next one."""
-        files = journals.list_journals(self.folder)
-        if not files:
-            return self._begin(1)
-        journal = journals.require_journal(files[-1], now=self.now)
-        records = journal.records
-        if records.has(events.SessionReleased):
-            raise ValueError(
-                f"{journal.path}: {self.folder.name} was released, the place in the design is free; take another code"
-            )
-        if (begun := records.find_header()) is None:
-            journal.write(self._make_header(journal, len(files)))
-            return journal
-        # An opening that was itself broken off leaves fresh records of an old session.
-        last = next(record for record in reversed(records) if record.event not in _OPENING)
-        away = self.now() - datetime.fromisoformat(last.utc)
-        is_stale = stale.after_h is not None and away > timedelta(hours=stale.after_h)
-        is_over = records.has(events.SessionFinished)
-        is_left = records.has(events.SessionSuperseded) or (is_stale and stale.policy == "restart")
-        if self._is_taken_over(journal, begun, accept_rig=accept_rig) or (is_left and not is_over):
-            # After a crash in between, the second step alone is due.
-            if not records.has(events.SessionSuperseded):
-                journal.write(events.SessionSuperseded(len(files) + 1))
-            return self._begin(len(files) + 1)
-        if not is_over:
-            journal.write(events.SessionResumed(*_describe_opening(journal)))
-            if is_stale and stale.policy == "warm_up":
-                journal.write(events.WarmUpBegun())
-        return journal
-
-    def _begin(self, number: int) -> Journal:
-        journal = journals.create_journal(self.folder / journals.name_journal(number), now=self.now)
-        journal.write(self._make_header(journal, number))
-        return journal
-
-    def _make_header(self, journal: Journal, session: int) -> events.SessionBegun:
-        plan = self.plan
-        planned = (plan.participant, plan.sha256, plan.stimuli_sha256, plan.seed)
-        own = (JOURNAL_FORMAT, *planned, self.identity, session)
-        return events.SessionBegun(*own, *_describe_opening(journal))
-
-    def _is_taken_over(
-        self, journal: Journal, begun: events.SessionBegun, *, accept_rig: bool
-    ) -> bool:
-        """Compare the header with today's: refuse what differs, record what is accepted; else a new journal is due."""
-        left, header = begun.to_data(), self._make_header(journal, 0).to_data()
-        for event in journal.records.find(events.RigAccepted):
-            presenter = left.get("presenter", {}) | {"rig": event.rig}
-            left |= {"presenter": presenter, "calibration": event.calibration}
-        if not (differences := find_differences(left, header, ignore=UNCOMPARED)):
-            return False
-        names = {line.partition(" ")[0] for line in differences}
-        if names.isdisjoint(PLANNED) and {one.event for one in journal.records} <= _UNTOUCHED:
-            return True  # Another rig, say, does no harm: nobody has done anything yet.
-        is_rig = all(name.startswith(ACCEPTABLE) for name in names)
-        if not (is_rig and accept_rig):
-            texts = "other texts for participants"
-            named = [texts if line.startswith("texts_sha256 ") else line for line in differences]
-            former, own = begun.versions.get("feel321"), version("feel321")
-            use = "" if former == own else f" or use feel321 {former}, which began it"
-            accept = "go on with the rig as it is now (--accept-rig, which records it), "
-            raise ValueError(
-                f"{journal.path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, "
-                f"{accept if is_rig else ''}begin with another participant, or move {self.folder.parent.name}/ away"
-            )
-        if not journal.records.has(events.SessionFinished):
-            rig = header.get("presenter", {}).get("rig")
-            journal.write(events.RigAccepted(rig, header.get("calibration"), differences))
-        return False
-
-
-def _describe_opening(journal: Journal) -> tuple[dict[str, str], str, dict[str, float]]:
-    """Describe versions, system and clock: the presenter's beside the time of day, for the offset between both."""
+def _make_header(
+    journal: Journal, plan: Plan, identity: Mapping[str, Any], *, session: int
+) -> events.SessionBegun:
+    planned = (plan.participant, plan.sha256, plan.stimuli_sha256, plan.seed)
     versions = {name: version(name) for name in ("feel321", "numpy", "scipy")}
+    # The presenter's clock stands beside the time of day, for the offset between both.
+    opened = ({"python": python_version(), **versions}, platform())
     clock = {"presenter_s": journal.records.find_elapsed()}
-    return {"python": python_version(), **versions}, platform(), clock
+    return events.SessionBegun(JOURNAL_FORMAT, *planned, dict(identity), session, *opened, clock)
+
+
+def _go_on(
+    journal: Journal, header: events.SessionBegun, *, stale: Stale, accept_rig: bool
+) -> bool:
+    """Go on with a session that was begun, or say that it is left for a new one; header: as it would begin today."""
+    records, ended = journal.records, {kind.event for kind in events.OPENING}
+    # An opening that was itself broken off leaves fresh records of an old session.
+    last = next(record for record in reversed(records) if record.event not in ended)
+    away = journal.now() - datetime.fromisoformat(last.utc)
+    is_stale = stale.after_h is not None and away > timedelta(hours=stale.after_h)
+    is_over = records.has(events.SessionFinished)
+    is_left = records.has(events.SessionSuperseded) or (is_stale and stale.policy == "restart")
+    if _is_taken_over(journal, header, accept_rig=accept_rig) or (is_left and not is_over):
+        return False
+    if not is_over:
+        clock = {"presenter_s": records.find_elapsed()}
+        journal.write(events.SessionResumed(header.versions, header.system, clock))
+        if is_stale and stale.policy == "warm_up":
+            journal.write(events.WarmUpBegun())
+    return True
+
+
+def _is_taken_over(journal: Journal, header: events.SessionBegun, *, accept_rig: bool) -> bool:
+    """Compare headers: refuse what differs, record what is accepted; where nobody has done anything, all may differ."""
+    begun, new = next(journal.records.find(events.SessionBegun)), header.to_data()
+    old = begun.to_data()
+    for event in journal.records.find(events.RigAccepted):
+        presenter = old.get("presenter", {}) | {"rig": event.rig}
+        old |= {"presenter": presenter, "calibration": event.calibration}
+    if not (differences := find_differences(old, new, ignore=UNCOMPARED)):
+        return False
+    names = {line.partition(" ")[0] for line in differences}
+    untouched = {kind.event for kind in events.UNTOUCHED}
+    if names.isdisjoint(PLANNED) and {record.event for record in journal.records} <= untouched:
+        return True
+    is_rig = all(name.startswith(ACCEPTABLE) for name in names)
+    if not (is_rig and accept_rig):
+        texts = "other texts for participants"
+        named = [texts if line.startswith("texts_sha256 ") else line for line in differences]
+        former, own = begun.versions.get("feel321"), version("feel321")
+        use = "" if former == own else f" or use feel321 {former}, which began it"
+        accept = "go on with the rig as it is now (--accept-rig, which records it), "
+        raise ValueError(
+            f"{journal.path}: the session was begun otherwise ({'; '.join(named)}); change that back{use}, "
+            f"{accept if is_rig else ''}begin with another participant, or move "
+            f"{journal.path.parent.parent.name}/ away"
+        )
+    if not journal.records.has(events.SessionFinished):
+        rig = new.get("presenter", {}).get("rig")
+        journal.write(events.RigAccepted(rig, new.get("calibration"), differences))
+    return False
 
 
 def find_differences(

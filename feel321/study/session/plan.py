@@ -98,34 +98,27 @@ class Design:
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Plan:
-    """The trials and rules of a participant's session, decided before it begins.
-
-    number: in the design, from 1. seed: the study's. between, groups: factors in which participants differ, and the
-    participant's own levels. repeats: times that each comparison is judged. tasks: the sections, in order. trials: by
-    blind codes of the set `stimuli_sha256`; those of the main phase in order, then training and practice, then the
-    blocks. task_order: `fixed` or `counterbalanced` between participants. recordings_per_participant: None for all.
-    methods: digests of the lab's own reducers, metrics and protocols, by name. sha256: of the plan as it was stored.
-    """
+    """The trials and rules of a participant's session, decided before it begins."""
 
     participant: str
-    number: int
+    number: int  # in the design, from 1
     simulated: bool
-    seed: int
-    between: Mapping[str, tuple[str, ...]]
-    groups: Mapping[str, str]
+    seed: int  # the study's
+    between: Mapping[str, tuple[str, ...]]  # factors in which participants differ
+    groups: Mapping[str, str]  # the participant's own levels of these
     order: str
-    repeats: int
-    tasks: tuple[Task, ...]
+    repeats: int  # times that each comparison is judged
+    tasks: tuple[Task, ...]  # the sections, in order
     flow: Flow
     stimuli_sha256: str
-    trials: tuple[Trial, ...]
+    trials: tuple[Trial, ...]  # main phase in order, training and practice, blocks; by blind codes
     threshold: ThresholdBlock | None = None
     task_order: str = orders.TASK_ORDERS[0]
     matching: MatchingBlock | None = None
     questions: tuple[Question, ...] = ()
-    recordings_per_participant: int | None = None
-    methods: Mapping[str, str] = field(default_factory=dict)
-    sha256: str = field(default="", compare=False)
+    recordings_per_participant: int | None = None  # None for all
+    methods: Mapping[str, str] = field(default_factory=dict)  # digests of the lab's own, by name
+    sha256: str = field(default="", compare=False)  # of the plan as it was stored
 
     def to_frame(self) -> DataFrame:
         """Return the judgements of all trials as a table: one row per judgement, in order."""
@@ -165,8 +158,7 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Plan
     own = np.random.default_rng([seed, number])
     rehearsal = orders.make_rehearsal(items, tasks, first_number=len(main) + 1, rng=own)
     if design.task_order != orders.TASK_ORDERS[0]:
-        tasks = orders.order_tasks(tasks, number=place)
-        main = orders.arrange_sections(main, tasks)
+        main, tasks = orders.arrange_sections(main, tasks, number=place)
     trials, block = [*main, *rehearsal], design.threshold
     if block:
         block = blocks.draw_block(block, seed=seed, number=number)
@@ -280,15 +272,7 @@ def read_as_written(path: Path) -> Iterator[None]:
 
 # A session by its records.
 
-_STEPS = (
-    events.PageRead,
-    events.QuestionAnswered,
-    events.TrialRated,
-    events.TrialSpoiled,
-    events.WarmUpBegun,
-)
-STEPS = {kind.event for kind in _STEPS}
-"""Events that change what comes next."""
+STEPS = {"page", "answered", "rated", "spoiled", "warm_up"}  # events that change what comes next
 
 
 def replay(plan: Plan, records: Iterable[Record]) -> Agenda:

@@ -100,15 +100,11 @@ class Move:
 
 @dataclass(frozen=True, slots=True)
 class Confirm:
-    """The participant is done with a page, a question or a trial.
-
-    values: by `Trial.judged`, or by the name of a question that was answered; empty for a page. response_time_s: since
-    the answer became possible, or since the page appeared.
-    """
+    """The participant is done with a page, a question or a trial."""
 
     time_s: float
-    values: Mapping[str, float | str]
-    response_time_s: float = 0.0
+    values: Mapping[str, float | str]  # by `Trial.judged`, or by the name of a question
+    response_time_s: float = 0.0  # since an answer became possible, or the page appeared
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,21 +134,16 @@ Act = Feel | Move | Confirm | Pause | Abort | TimedOut
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Progress of a session: trials of the main phase that are answered, given up, and all of them.
-
-    attempt: at the trial or question, from 1. fault: what the device says while the experimenter is called. notice:
-    what is wrong with the rig, though trials count; said once. left_s: about how long the rest of the session takes.
-    stopped: why it ended early.
-    """
+    """Progress of a session: trials of the main phase that are answered, given up, and all of them."""
 
     answered: int
     total: int
-    attempt: int = 1
+    attempt: int = 1  # at the trial or question
     given_up: int = 0
-    fault: str = ""
-    notice: str = ""
-    left_s: float | None = None
-    stopped: str = ""
+    fault: str = ""  # what the device says while the experimenter is called
+    notice: str = ""  # what is wrong with the rig, though trials count; said once
+    left_s: float | None = None  # about how long the rest of the session takes
+    stopped: str = ""  # why it ended early
 
     @property
     def done(self) -> int:

@@ -11,32 +11,37 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis.choices import agree_with_others, gather_votes, predict
+from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from feel321.analysis.table.items import Table
 
     Plant = Callable[..., Any]
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 STIMULI = pd.DataFrame({
-    "stimulus_id": ["x", "y", "z"], "recording": "oak", "match": [0.9, 0.5, 0.1], "distance": [1.0, 2.0, 2.0],
+    "stimulus_id": ["x", "y", "z"], "recording": "oak", "reducer": ["a", "b", "c"], "level": "as_is", "role": "test",
+    "match": [0.9, 0.5, 0.1], "distance": [1.0, 2.0, 2.0],
 })  # fmt: skip
 
 
-def vote(*rows: tuple[str, str, str, int]) -> pd.DataFrame:
-    return pd.DataFrame(rows, columns=["participant", "stimulus_id", "other_id", "rating"])
+def vote(*rows: tuple[str, str, str, int], **higher: str) -> Table:
+    votes = pd.DataFrame(rows, columns=["participant", "stimulus_id", "other_id", "rating"])
+    votes = votes.assign(scale="preference", trial=range(len(votes)))
+    info = {name: MetricInfo(name, way) for name, way in higher.items()}
+    return analysis.read_table(votes, STIMULI, metrics=["match", "distance"], info=info)
 
 
-HAND = vote(
+HAND = (
     ("a", "x", "y", 100), ("b", "y", "x", 0), ("c", "x", "y", 0),
     ("a", "y", "z", 100), ("b", "z", "y", 100), ("a", "z", "x", 0),
 )  # fmt: skip
 
 
 def test_shares_counted_by_hand() -> None:
-    found = analysis.predict_votes(
-        HAND, ["match", "distance"], stimuli=STIMULI, higher={"distance": "worse"}
-    )
+    found = analysis.predict_votes(vote(*HAND, distance="worse"))
     # match: x, x, not y, y, not z, x. distance: the same, but y and z are alike and count half.
     assert found.shares["share"].tolist() == [4 / 6, (2 + 1) / 6 + 1 / 6]
     assert found.shares["n_ties"].tolist() == [0, 2]
@@ -50,13 +55,8 @@ def test_shares_counted_by_hand() -> None:
 
 
 def test_a_larger_value_is_better_unless_it_is_worse() -> None:
-    shares = [
-        analysis
-        .predict_votes(HAND, ["match"], stimuli=STIMULI, higher=higher)
-        .shares["share"]
-        .iloc[0]
-        for higher in (None, {"match": "better"}, {"match": "worse"})
-    ]
+    tables = vote(*HAND), vote(*HAND, match="better"), vote(*HAND, match="worse")
+    shares = [analysis.predict_votes(one, ["match"]).shares["share"].iloc[0] for one in tables]
     assert shares == [4 / 6, 4 / 6, 2 / 6]
 
 
@@ -65,7 +65,7 @@ def test_what_comes_first_changes_no_share(plant: Plant) -> None:
     turned = planted.votes.rename(columns={"stimulus_id": "other_id", "other_id": "stimulus_id"})
     turned = turned.assign(rating=100 - turned["rating"])
     one, other = (
-        analysis.predict_votes(votes, METRICS, stimuli=planted.stimuli)
+        analysis.predict_votes(planted._replace(votes=votes).read())
         for votes in (planted.votes, turned)
     )
     pd.testing.assert_frame_equal(one.shares, other.shares)
@@ -74,7 +74,7 @@ def test_what_comes_first_changes_no_share(plant: Plant) -> None:
 
 def test_agreement_by_brute_force(plant: Plant) -> None:
     planted = plant(seed=5, participants=7, recordings=3)
-    found, _ = agree_with_others(gather_votes(planted.votes, planted.stimuli))
+    found, _ = agree_with_others(gather_votes(planted.read()))
     rows = planted.votes.to_dict("records")
     winners = [r["stimulus_id"] if r["rating"] else r["other_id"] for r in rows]
     for place, row in enumerate(rows):
@@ -90,8 +90,8 @@ def test_agreement_by_brute_force(plant: Plant) -> None:
 
 
 def test_repeats_of_a_person_are_not_others() -> None:
-    votes = vote(("a", "x", "y", 100), ("a", "y", "x", 0), ("b", "x", "y", 0))
-    assert agree_with_others(gather_votes(votes, STIMULI))[0].tolist() == [0, 0, 0]
+    table = vote(("a", "x", "y", 100), ("a", "y", "x", 0), ("b", "x", "y", 0))
+    assert agree_with_others(gather_votes(table))[0].tolist() == [0, 0, 0]
 
 
 def test_planted_metrics_are_found_and_ranked(plant: Plant) -> None:
@@ -112,7 +112,7 @@ def test_a_metric_without_effect_is_seldom_found(
     hits = 0
     for seed in range(n):
         planted = plant(seed=seed, participants=8, recordings=6, weights=weights)
-        votes = gather_votes(planted.votes, planted.stimuli, metrics=METRICS[:1])
+        votes = gather_votes(planted.read(), METRICS[:1])
         hits += predict(votes).shares["p"].iloc[0] < 0.05
     assert hits <= (6 if n < 100 else 0.08 * n)
 
@@ -122,7 +122,7 @@ def test_every_metric_and_pair_of_metrics_counts_for_holm(plant: Plant) -> None:
     rng = np.random.default_rng(1)
     names = [f"m{number}" for number in range(8)]
     stimuli = planted.stimuli.assign(**{name: rng.random(len(planted.stimuli)) for name in names})
-    found = analysis.predict_votes(planted.votes, names, stimuli=stimuli)
+    found = analysis.predict_votes(planted._replace(stimuli=stimuli).read(metrics=names))
     assert (found.n_votes, len(found.differences)) == (1600, 28)
     assert found.shares["p_holm"].min() == pytest.approx(min(8 * found.shares["p"].min(), 1))
     smallest = found.differences["p"].min()

@@ -11,7 +11,7 @@ import pytest
 
 from feel321.analysis.association.correlate import correlate
 from feel321.analysis.table.items import split_tests
-from feel321.analysis.table.metrics import describe_further, describe_manifest
+from feel321.analysis.table.metrics import FURTHER, describe_manifest
 from feel321.analysis.table.reading import ROSTER, read_table
 from feel321.analysis.table.schema import RATINGS
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
@@ -101,9 +101,8 @@ def test_ways_of_writing_the_same_table(
 
 
 def test_the_schema_knows_every_column_that_feel321_writes() -> None:
-    further = describe_further()
-    assert list(RATINGS) == [name for name in RATING_COLUMNS if name not in further]
-    assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *describe_further()}
+    assert list(RATINGS) == [name for name in RATING_COLUMNS if name not in FURTHER]
+    assert set(describe_manifest()) == {*COLUMN_UNITS, "source", *FURTHER}
     assert {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS} == ROSTER | {"participant"}
 
 

@@ -43,7 +43,9 @@ CALLS: dict[str, Callable[[pd.DataFrame], Any]] = {
     "compare_metrics": lambda table: analysis.compare_metrics(table, *METRICS, draws=10, rng=make_rng()),
     "correlate": lambda table: analysis.correlate(table, METRICS[0], draws=10, rng=make_rng()),
     "compare_reducers": lambda table: analysis.compare_reducers(table, "dft321", "mag321", margin=5),
-    "discriminate": lambda table: analysis.discriminate(make_trials(table)),
+    "discriminate": lambda table: analysis.discriminate(
+        table.assign(scale="abx", rating=100.0 * (table["rating"] > 50))
+    ),
     "find_sources": lambda table: find_sources(table).to_frame(),
     "fit_attributes": lambda table: analysis.fit_attributes(table, METRICS)["realism"].slopes,
     "fit_mixed": lambda table: (analysis.fit_mixed("rating ~ spectral_match + (1 | participant)", table).fixed),
@@ -71,7 +73,7 @@ CHOICES = {"predict_votes"}
 ELSEWHERE = {"advise_tradeoff", "read_table", "write_report", *CHOICES}
 """What is tried with ratings in `test_{people,table,notebook}`."""
 
-PAIRS = {"bradley_terry by rater", "bradley_terry", "discriminate"}
+PAIRS = {"bradley_terry by rater", "bradley_terry"}
 """What takes pairs, here made of neighbouring rows."""
 
 

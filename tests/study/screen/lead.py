@@ -134,10 +134,10 @@ class Watcher(Hand):
         self.texts, self.window, self.last = texts, window, None
         self.orders = Orders()
 
-    def watch(self, view: View) -> None:
+    def watch(self, view: View) -> tuple[()]:
         self.orders.obey()
         if view == self.last:
-            return
+            return ()
         self.last = view
         targets = compose(view, self.texts, size=self.window.size).targets
         tell(
@@ -156,6 +156,7 @@ class Watcher(Hand):
             },
             time_s=clock(),
         )
+        return ()
 
 
 class Journal:
