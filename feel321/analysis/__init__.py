@@ -21,7 +21,6 @@ if _TYPE_CHECKING:
     from feel321.analysis.contrasts.told_apart import discriminate
     from feel321.analysis.mixed.model import contrast, fit_mixed
     from feel321.analysis.plots import (
-        plot,
         plot_correlations,
         plot_profile,
         plot_recording,
@@ -45,7 +44,7 @@ __all__ = [
     "discriminate", "equivalence", "fit_attributes", "fit_mixed", "fit_primary",
     "fit_space", "intraclass",
     "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401",
-    "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
+    "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
     "plot_spectrum", "predict_votes", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters",
     "write_report",

@@ -168,11 +168,9 @@ def test_names_of_other_packages_are_repeated_rightly() -> None:
     assert set(schema.APART) <= scales
 
 
-def test_one_line_plots_what_has_one_obvious_plot(
-    table: results.Table, realism: results.Table
-) -> None:
+def test_correlations_are_plotted_beside_their_ceilings(realism: results.Table) -> None:
     found = pd.DataFrame([correlate(realism, name, draws=20) for name in realism.metrics])
-    axes = analysis.plot(found, ax=Figure().subplots())
+    axes = analysis.plot_correlations(found, ax=Figure().subplots())
     dots, bars = read_forest(axes)
     assert dots == list(found["value"])
     assert bars == found[["low", "high"]].to_numpy().tolist()
@@ -180,13 +178,5 @@ def test_one_line_plots_what_has_one_obvious_plot(
     np.testing.assert_array_equal([bar[0, 0] for bar in ceilings], found["ceiling"])
     labels = [label.get_text() for label in axes.get_yticklabels()]
     assert len(set(labels)) == len(found)
-    model = analysis.fit_primary(realism)
-    dots, _ = read_forest(analysis.plot(model, ax=Figure().subplots()))
-    assert dots == list(model.slopes["tenth"])
-    assert analysis.plot(table, ax=Figure().subplots()).get_xlabel() == "Rating"
     one = analysis.correlate(realism, "spectral_match", draws=20, rng=0)
-    assert analysis.plot(one, ax=Figure().subplots()).get_yticklabels()[0].get_text() != ""
-    scene = stimuli.make_scene("hard_taps", duration_s=0.1)
-    assert analysis.plot(scene, ax=Figure().subplots()).get_xlabel() == "Time (s)"
-    with pytest.raises(TypeError, match=r"result must be a Primary, .*; got int"):
-        analysis.plot(3)
+    assert analysis.plot_correlations(one, ax=Figure().subplots()).get_yticklabels()

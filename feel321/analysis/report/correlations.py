@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from feel321.records import Statistic
 
 LEADING, RANKED, DRAWN = "pearson", "spearman", "within"
-"""The method that the words give, the one it is checked against, and the one that scatters and cards give."""
+"""The method that the words give, its counterpart by ranks, and the one that scatters and cards give."""
 
 
 def compute(table: Table, choices: Choices) -> Found:
@@ -86,26 +86,19 @@ def _add_associations(found: Found, part: Part, every: Iterable[Statistic], *, n
 
 def _describe_panel(part: Part, panel: Panel) -> Row:
     """Gather what the template says of the correlations of one scale and level."""
-    ranked = {one.metric: one for one in panel.associations if one.method == RANKED}
     leading = [one for one in panel.associations if one.method == LEADING]
-    found = []
-    for one in leading:
-        other, why = ranked[one.metric], one.notes[0] if one.notes else ""
-        # A few outlying values may hide what the ranks of all others show.
-        contradicts = covers_zero(one) != covers_zero(other) or one.value * other.value < 0
-        found.append({
-            "metric": one.metric, "r": read_ends(one), "covers": covers_zero(one),
-            "ranks": read_ends(other) if contradicts and not np.isnan(other.low) else None,
-            "why": why.removeprefix("No correlation: ").removesuffix("."),
-        })  # fmt: skip
-    compared = (two for two in panel.differences if two.method == LEADING)
-    differences = [
-        {"metrics": [two.first, two.second], "r": read_ends(two), "covers": covers_zero(two)}
-        for two in compared
-    ]
+    reasons = [one.notes[0] if one.notes else "" for one in leading]
     return {
-        **part.keys, "subject": part.subject, "found": found, "differences": differences,
-        "ceiling": leading[0].ceiling, "n_items": leading[0].n_items,
+        **part.keys, "subject": part.subject, "ceiling": leading[0].ceiling, "n_items": leading[0].n_items,
+        "found": [
+            {"metric": one.metric, "r": read_ends(one), "covers": covers_zero(one),
+             "why": why.removeprefix("No correlation: ").removesuffix(".")}
+            for one, why in zip(leading, reasons, strict=True)
+        ],
+        "differences": [
+            {"metrics": [two.first, two.second], "r": read_ends(two), "covers": covers_zero(two)}
+            for two in panel.differences if two.method == LEADING
+        ],
     }  # fmt: skip
 
 

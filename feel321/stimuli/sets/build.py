@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import announce, as_path, describe, follow
+from feel321.doors import as_path, describe, follow
 from feel321.files import (
     digest_file,
     hold_lock,
@@ -246,8 +246,6 @@ def survey_recording(
     before = {one.key: one.measured for one in known}
     measured = {one.key: before[one.key] for one in drafts if one.key in before}
     new = [one for one in drafts if one.key not in measured]
-    if new and parts is None:
-        announce(recording.name)
     try:
         for draft, samples, note in render.render_drafts(recording, new, recipe):
             measured[draft.key] = note

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import announce, check_name
+from feel321.doors import check_name
 from feel321.extensions import Method
 from feel321.names import ANCHOR, METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
@@ -167,7 +167,6 @@ def render_drafts(
     try:
         scale = _make_scale(read_given(given), recipe)
         for draft in wanted:
-            announce(f"{given.name}, {draft.reducer}")
             samples, played = _play(draft.reducer, scale, recipe)
             yield draft, played, _measure(samples, played, scale=scale, recipe=recipe)
     except ValueError as error:

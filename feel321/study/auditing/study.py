@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321 import intake
-from feel321.doors import announce
 from feel321.files import digest_file
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study.auditing.evidence import Evidence, weigh
@@ -68,7 +67,6 @@ def examine(
             findings += _guard(study.stimuli, _audit_details(stimuli))
     tables, holders = Tables(study, stimuli), list[Holder]()
     for done, folder in enumerate(folders, start=1):
-        announce(folder.name)
         findings += _guard(folder, _audit_participant(folder, stimuli, tables))
         with suppress(OSError, ValueError):  # of a plan that is among the findings
             holders += filter(None, [read_holder(folder)])

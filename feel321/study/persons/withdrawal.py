@@ -32,7 +32,7 @@ from feel321.study.checkpoints import declaring, find_newest, note_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import RELEASED, Holder, read_holder
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
-from feel321.study.ratings import MATCHES_FILE, write_matches, write_ratings
+from feel321.study.ratings import MATCHES_FILE, WIDE, write_matches, write_ratings
 from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
 from feel321.study.session.journal import (
     PARTICIPANT_ID,
@@ -42,7 +42,6 @@ from feel321.study.session.journal import (
     require_journal,
 )
 from feel321.study.session.plan import TOMBSTONE_FILE
-from feel321.study.wide import WIDE
 
 OUTPUTS_FILE = "outputs.jsonl"
 
