@@ -402,7 +402,8 @@ def _find_wrong(row: Row, own: Row, lagging: set[str]) -> str:
     """Find the first cell that the journals contradict."""
     got, last = row.get("last_utc") or "", own.get("last_utc", "")
     if got > last:
-        return f"last_utc is {got}, the journals {f'end at {last}' if last else 'that are left hold nothing'}"
+        said = f"the journals end at {last}" if last else "but there is no journal"
+        return f"last_utc is {got}, {said}"
     is_old = got < last or (own.get("rejected"), row.get("rejected")) == ("true", "false")
     for name, value in own.items():
         if (got := row.get(name, "")) != value and not (is_old and name in lagging):
