@@ -66,8 +66,7 @@ class Frozen:
 
 def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, str]]:
     """Write `frozen.json`, before the first session of a person; return what it holds and what differs from before."""
-    from feel321.study.sessions import require_current_set
-    from feel321.study.settings.read import read_settings
+    from feel321.study.settings.read import read_settings, require_current_set
 
     former, settings = read_frozen(study), read_settings(study.settings)
     begun = [path.split("/")[1] for path, _ in _list_sessions(study)]
