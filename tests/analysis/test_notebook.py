@@ -58,7 +58,6 @@ def test_files_frames_and_a_folder_are_one_table(
 
 def test_a_table_has_the_shapes_that_others_take(realism: results.Table) -> None:
     assert realism.votes().shape == (36, 6)
-    assert len(realism.items()) == 48
     assert realism.to_frame().equals(realism.rows)
     assert realism.summary().startswith("576 judgements: 6 participants, 48 stimulus")
     assert len(repr(realism)) <= 200
@@ -84,15 +83,16 @@ def test_two_reducers_are_compared_as_the_report_compares_them(realism: results.
 
 
 def test_statistics_of_votes_take_a_table(realism: results.Table) -> None:
-    votes, metric = realism.votes(), realism.items().set_index("stimulus_id")["temporal_match"]
+    votes, facts = realism.votes(), realism.rows.drop_duplicates("stimulus_id")
+    facts = facts.set_index("stimulus_id")
     icc = analysis.intraclass(realism).to_dict()
     assert icc == pytest.approx(analysis.intraclass(votes).to_dict())
     assert analysis.noise_ceiling(realism) == pytest.approx(analysis.noise_ceiling(votes))
     alpha = analysis.krippendorff_alpha(votes)
     assert analysis.krippendorff_alpha(realism) == pytest.approx(alpha)
     judged = analysis.p1401(realism, "temporal_match", order=1, groups="recording")
-    recordings = realism.items().set_index("stimulus_id")["recording"][votes.index]
-    alone = analysis.p1401(votes, metric[votes.index], order=1, groups=recordings)
+    metric, recordings = (facts.loc[votes.index, name] for name in ("temporal_match", "recording"))
+    alone = analysis.p1401(votes, metric, order=1, groups=recordings)
     assert (judged.plcc, judged.rmse) == pytest.approx((alone.plcc, alone.rmse))
     rows = realism.rows[realism.rows["role"] == "test"]
     within = analysis.repeated_measures_correlation(realism, "temporal_match")
