@@ -41,9 +41,9 @@ if TYPE_CHECKING:
 FEWEST_JUDGEMENTS = 8  # With fewer judgements, or pairs of them, a habit cannot be told from chance
 REACH = 1.5  # Fences stand this many hinge spreads outside the hinges
 FEWEST_RATERS = 5  # With fewer values no fence can leave one out, or a shape be seen
-UNIMODAL = (
-    5 / 9
-)  # Multimodality coefficient of evenly spread values; above it, ratings may have more than one peak
+UNIMODAL = 5 / 9
+"""Multimodality coefficient of evenly spread values; above it, ratings may have more than one peak."""
+
 ALL_BUT = 0.95  # Share of ratings at one step from which on nobody is taken to have used the scale
 ONE_SIDED = 1.6448536269514722  # 95 % point of the normal distribution
 FASTEST_S = 0.5  # Nobody feels, weighs and answers in less
