@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.analysis import space, words
-from feel321.analysis.association.correlate import correlate
+from feel321.analysis.association import correlate
 from feel321.analysis.contrasts.compare import fit_reducers
 from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
 from feel321.analysis.mixed.model import contrast

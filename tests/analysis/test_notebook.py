@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from feel321 import analysis, results, stimuli
-from feel321.analysis.association.correlate import correlate
+from feel321.analysis.association import correlate
 from feel321.analysis.contrasts import compare
 from feel321.analysis.report.reducers import compute_contrasts
 from feel321.analysis.report.section import find_row
@@ -101,7 +101,7 @@ def test_statistics_of_votes_take_a_table(realism: results.Table) -> None:
     )
 
 
-def test_abx_and_dissimilarities_take_a_table(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_abx_takes_a_table(tidy: Callable[..., pd.DataFrame]) -> None:
     rows = tidy(scales=("abx",))
     answers = rows.assign(rating=np.where(np.arange(len(rows)) % 4, 100.0, 0.0))
     found = analysis.discriminate(answers)
@@ -110,19 +110,6 @@ def test_abx_and_dissimilarities_take_a_table(tidy: Callable[..., pd.DataFrame])
     row = found.set_index(["level", "reducer"]).loc[("as_is", "dft321")]
     assert (row["share"], row["n_trials"]) == (alone.share, alone.n_trials)
     assert "original" not in set(found["reducer"])
-    names = ["sax321", "mag321", "dft321", "pca321"]
-    apart = pd.DataFrame([
-        (who, one, two, 10.0 * abs(names.index(one) - names.index(two)))
-        for who in "pq" for one in names for two in names if one != two
-    ], columns=["participant", "reducer", "reference_reducer", "rating"]).assign(scale="dissimilarity")  # fmt: skip
-    space = analysis.fit_space(apart, draws=5)
-    assert space.names == ("sax321", "mag321", "pca321", "dft321")
-    assert list(space.to_frame()) == ["stimulus", "axis_1", "axis_2"]
-    assert space.ellipses.n_participants == 2
-    with pytest.raises(ValueError, match="dimensions must be 2 for ellipses, got 1"):
-        analysis.fit_space(apart, dimensions=1, draws=5)
-    with pytest.raises(ValueError, match="No judgement names two stimuli"):
-        analysis.fit_space(apart.assign(reference_reducer=""))
 
 
 def read_forest(axes: Axes) -> tuple[list[float], list[list[float]]]:
