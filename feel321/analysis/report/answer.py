@@ -104,7 +104,9 @@ def _list_ways(by_metric: Mapping[str, Sequence[Row]]) -> list[Row]:
             turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
             key = OPPOSITE if turned else way, name_scales(own, every)
             ways.setdefault(key, []).append(metric)
-    return [{"kind": way, "what": what, "metrics": own} for (way, what), own in ways.items()]
+    return [
+        {"kind": way, "what": what, "metrics": own, "few": []} for (way, what), own in ways.items()
+    ]
 
 
 def _group(cards: Sequence[Row], metrics: Sequence[str]) -> Iterator[Row]:
