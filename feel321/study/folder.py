@@ -311,6 +311,12 @@ class Problems(Findings):
     figures: Mapping[str, Any] = field(default_factory=dict)
     subject: str = ""
 
+    def prefix(self, name: str) -> Problems:
+        """Put the name of a file before each line."""
+        kinds = self.problems, self.warnings, self.notes
+        problems, warnings, notes = (tuple(f"{name}: {line}" for line in kind) for kind in kinds)
+        return Problems(problems, warnings, notes, figures=self.figures)
+
     def __add__(self, other: Problems) -> Problems:
         """Put what was found in two parts of a study together."""
         names = ("problems", "warnings", "notes", "remarks")

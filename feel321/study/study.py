@@ -298,7 +298,7 @@ class Study(Laboratory):
             Bootstrap draws per interval; as study.toml declares by default.
         """
         from feel321.study.analyze import analyze_study
-        from feel321.study.export.narrative import write_methods
+        from feel321.study.export.dataset import write_methods
         from feel321.study.persons.withdrawal import recording_output
 
         if manifest is not None and ratings is None:
@@ -374,12 +374,7 @@ class Study(Laboratory):
         return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
 
     def export(
-        self,
-        target: options.Folder,
-        *,
-        keep_ids: bool = False,
-        simulated: bool = False,
-        for_r: options.ForR = False,
+        self, target: options.Folder, *, simulated: bool = False, for_r: options.ForR = False
     ) -> Outcome:
         """Write a study's data for others, into the folder DIR.
 
@@ -394,8 +389,6 @@ class Study(Laboratory):
         ----------
         target : str or path
             The folder to write.
-        keep_ids : bool
-            Keep participants' codes.
         simulated : bool
             Simulated participants too, marked as such.
         for_r : bool
@@ -403,8 +396,8 @@ class Study(Laboratory):
         """
         from feel321.study.persons.withdrawal import recording_output
 
-        if for_r and (keep_ids or simulated):
-            raise UsageError("--keep-ids and --simulated are for BIDS; leave them out with --r")
+        if for_r and simulated:
+            raise UsageError("--simulated is for BIDS; leave it out with --r")
         path, notices = as_path(target), list[str]()
         with recording_output(self.folder, "export", path, now=self.now):
             if for_r:
@@ -419,7 +412,7 @@ class Study(Laboratory):
                 from feel321.study.export.dataset import export_bids
 
                 step = f"check it with: bids-validator-deno {path}"
-                notices += export_bids(self.folder, path, keep_ids=keep_ids, simulated=simulated)
+                notices += export_bids(self.folder, path, simulated=simulated)
         for notice in notices:
             self.say(notice)
         facts = {"folder": str(path), "kind": "R" if for_r else "BIDS", "warnings": notices}

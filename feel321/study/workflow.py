@@ -117,7 +117,8 @@ def check_study(
         try:
             found = _foresee(study, settings, seen, recipe=own)
             if rig:
-                found = _foresee_rig(study, rig, seen, covariances=covariances, recipe=own) + found
+                reach = strength.find_reach(rig, covariances, own)
+                found = reach.prefix(study.rig.name) + found
         except ValueError as error:
             found = Problems((str(error),))
     texts = _check_texts(study, settings)
@@ -198,26 +199,6 @@ def _foresee(
         note = f"{study.settings.name}: {length.describe()}"
         found += Problems(notes=(note,), figures={"session": asdict(length)})
     return found
-
-
-def _foresee_rig(
-    study: StudyFolder,
-    rig: Rig,
-    seen: Sequence[sets.Facts],
-    *,
-    covariances: Covariances,
-    recipe: Recipe,
-) -> Problems:
-    """Find out how a rig brings stimuli to the hand."""
-    foreseen = [one for own in sets.place_surveyed(seen, recipe).values() for one in own]
-    reach, limits = strength.find_reach(rig, covariances, recipe), list[str]()
-    if not study.manifest.exists():
-        limits += strength.find_rig_limits(rig, foreseen, recipe.reference)
-    problems, warnings, notes = (
-        tuple(f"{study.rig.name}: {line}" for line in lines)
-        for lines in (limits, reach.warnings, reach.notes)
-    )
-    return Problems(problems, warnings, notes, figures=reach.figures)
 
 
 def _keep_choosing(design: Design) -> tuple[Design, int]:

@@ -126,7 +126,7 @@ def test_wrong_use_is_one_line_and_exit_2(
     ("words", "message"),
     [
         ("run . --participant p1 --seed 1", "--seed needs --simulate-participant"),
-        ("export . b --r --keep-ids", "--keep-ids and --simulated are for BIDS"),
+        ("export . b --r --simulated", "--simulated is for BIDS"),
         ("status . --watch page.html --notes", "--watch does not go with --notes"),
         ("withdraw . --participant p1", "no terminal to ask for confirmation; add --yes"),
         ("note . --participant p1", ". is a study; name TEXT, too: feel321 note . TEXT"),

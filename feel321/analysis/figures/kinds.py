@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from feel321.analysis.association.correlate import Panel
+    from feel321.analysis.association import Panel
     from feel321.analysis.primary.model import Primary
     from feel321.records import Statistic
 

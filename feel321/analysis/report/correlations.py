@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.agreement import SMALLEST
-from feel321.analysis.association.correlate import correlate_items, make_panel
+from feel321.analysis.association import correlate_items, make_panel
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, read_ends
 from feel321.analysis.table.items import Part, make_items, split_tests
 from feel321.analysis.table.metrics import describe_explored, order_reducers
-from feel321.analysis.table.notes import SPACE, note_apart
+from feel321.analysis.table.reading import SPACE, note_apart
 from feel321.analysis.table.schema import APART, CHOSEN, PAIRED, RECAST
 from feel321.analysis.words import format_method, format_span
 
 if TYPE_CHECKING:
-    from feel321.analysis.association.correlate import Panel
+    from feel321.analysis.association import Panel
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.records import Statistic
@@ -142,5 +142,5 @@ def explore(part: Part, metrics: Sequence[str], choices: Choices) -> Iterator[St
     for metric, method in product(metrics, (LEADING, RANKED, DRAWN)):
         alone = make_items(part.rows, [metric])
         rng = choices.make_rng("further", *part.place, metric, method)
-        drawn = correlate_items(alone, (metric,), method, draws=choices.draws, rng=rng)
+        (drawn,) = correlate_items(alone, (metric,), method, draws=choices.draws, rng=rng)
         yield drawn.associate(metric)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
-from feel321.analysis.association.correlate import refuse_untested
+from feel321.analysis.association import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer
