@@ -166,13 +166,14 @@ class Laboratory(OpenStudy):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.persons.withdrawal import recording_output
         from feel321.study.status import read_status, watch_study
 
         folder = self.choose(rehearsals)
         if watch is not None:
             if notes:
                 raise UsageError("--watch does not go with --notes; leave one out")
+            from feel321.study.persons.withdrawal import recording_output
+
             page = as_path(watch)
             with recording_output(folder, "status", page, now=self.now):
                 watch_study(folder, page, now=self.now)

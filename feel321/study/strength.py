@@ -19,8 +19,7 @@ from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, 
 from feel321.stimuli.sets.render import find_headroom_cost
 from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold, to_db
 from feel321.study.actuator import render
-from feel321.study.actuator.mixer import ROUNDING
-from feel321.study.actuator.rig import AXES, REDUCED, Rig
+from feel321.study.actuator.rig import REDUCED, Rig
 from feel321.study.folder import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
@@ -206,7 +205,7 @@ def write_db(value: float) -> str:
     return "silent" if value == -inf else f"{round(value, 1) + 0.0:.1f} dB"
 
 
-# What a rig makes of the strength of stimuli: equal energy for one axis and for three, and peaks that it can play.
+# What a rig makes of the strength of stimuli: equal energy for one axis and for three.
 
 
 def find_reach(
@@ -227,9 +226,9 @@ def find_reach(
         )
         return Problems(warnings=(line,))
     mix = render.find_mix(rig)
-    reduced = render.reduced_energy(mix, directions)
+    reduced = render.find_energy(mix, directions)
     differences = {
-        recording: energy_db(reduced, render.original_energy(mix, directions, covariance))
+        recording: energy_db(reduced, render.find_energy(mix, directions, covariance))
         for recording, covariance in covariances.items()
     }
     recording = max(differences, key=lambda name: abs(differences[name]))
@@ -254,23 +253,3 @@ def find_reach(
         f"strength; {remedy}"
     )
     return Problems(warnings=(warning,), figures=figures)
-
-
-def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> Iterator[str]:
-    """Find what a rig cannot play, by the peaks of stimuli that are not built yet."""
-    needed = (REDUCED, *AXES) if reference == ORIGINAL else (REDUCED,)
-    played = {source for actuator in rig.actuators for source in actuator.plays}
-    if missing := [source for source in needed if source not in played]:
-        remedy = "add it to `plays`, or name a reference in study.toml that the rig can play"
-        yield f"no actuator plays {', '.join(missing)}; {remedy}"
-    mix, one_axis = render.find_mix(rig), (one for one in foreseen if one.reducer != ORIGINAL)
-    worst = max(one_axis, key=attrgetter("peak_m_s2"))
-    for actuator in rig.actuators:
-        asked = worst.peak_m_s2 * mix[actuator.name].get(REDUCED, 0.0)
-        own = "its full_scale_m_s2", actuator.full_scale_m_s2
-        limit, most = min(("limits.peak_m_s2", rig.limits.peak_m_s2), own, key=itemgetter(1))
-        if asked > most * (1 + ROUNDING):
-            yield (
-                f"actuator {actuator.name!r}: {worst.recording} {worst.reducer} will ask for {asked:.4g} m/s², above "
-                f"{limit} of {most:g}; lower gain or headroom in study.toml, or raise that if the coil allows"
-            )

@@ -45,22 +45,14 @@ KEYS = (WHO, SCENE, ITEM)
 ALIKE = f"{SOURCE}:{REDUCER}"
 """Stimuli of one source that were reduced alike."""
 
-LEVEL = "level_db"
-"""Level of a stimulus less the mean of its recording's: a term of the model, and no hypothesis."""
-
+LEVEL = "level_db"  # Level of a stimulus less the mean of its recording's: a term of the model, and no hypothesis
 AMPLITUDE = "rms_m_s2"
 LEVELS = ("sensation_level_db", AMPLITUDE, "level_difference")
 """Columns that hold the level of a stimulus, the best first: over threshold, amplitude, from its recording."""
 
-LEAST_DB = 0.5
-"""Levels within recordings that differ by less are alike: nobody feels it."""
-
-FLAT = 1e-10
-"""Share of a metric's size below which its spread is rounding."""
-
-DEPENDENT = 1e-8
-"""Share of a column's spread below which what others leave of it is rounding."""
-
+LEAST_DB = 0.5  # Levels within recordings that differ by less are alike: nobody feels it
+FLAT = 1e-10  # Share of a metric's size below which its spread is rounding
+DEPENDENT = 1e-8  # Share of a column's spread below which what others leave of it is rounding
 MOST_LEVELS = 800
 """Levels beside those of participant x item up to which single ratings are fitted; the time grows with their cube."""
 
