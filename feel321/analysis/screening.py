@@ -26,7 +26,14 @@ from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import FLAT, check_columns, read_numbers
 from feel321.analysis.consistency import FLOOR, gauge_raters
 from feel321.analysis.resampling import weighted_pearson
-from feel321.analysis.table.items import STIMULUS, Table, leave_rejected, name_stimuli, open_ratings
+from feel321.analysis.table.items import (
+    STIMULUS,
+    Table,
+    leave_rejected,
+    name_stimuli,
+    open_ratings,
+    refuse_unnamed,
+)
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.doors import as_rng, check_name
 from feel321.protocols.tasks import PROTOCOLS
@@ -111,10 +118,7 @@ def _prepare(ratings: DataFrame, *, assumed: str) -> tuple[DataFrame, list[str]]
     check_columns(ratings, ["participant", "rating", STIMULUS], "ratings")
     if ratings.empty:
         raise ValueError("ratings must hold a row per judgement, got no row")
-    for name in ("participant", STIMULUS):
-        if nameless := int(ratings[name].isna().sum()):
-            got = f"got {nameless} rows without a {name}; name it or leave them out"
-            raise ValueError(f"ratings must all be named, {got}")
+    refuse_unnamed(ratings, ["participant", STIMULUS])
     values = read_numbers(ratings["rating"], what="ratings, 'rating'")
     bad = values[~((values >= LOWEST) & (values <= HIGHEST))]
     if len(bad):
