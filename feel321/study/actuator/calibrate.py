@@ -110,13 +110,12 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
     ladder = [sweep(make_sweeps(rig, rate_hz=rate_hz, peak=one)[1])[0] for one in levels]
     loud, _ = make_sweeps(rig, rate_hz=rate_hz, peak=top)
     main, recorded = sweep(loud)
-    inside = response.find_inside(probe.frequency_hz, band_hz=loud.band_hz)
-    in_band_hz = probe.frequency_hz[inside]
+    in_band_hz = probe.frequency_hz[probe.inside]
 
     def compare_db(one: response.Response) -> float:
         """Compare a response with that of the quietest step, by third octaves."""
         size = np.interp(in_band_hz, one.frequency_hz, np.abs(one.response))
-        ratio_db = response.DB * np.log(size / np.abs(ladder[0].response[inside]))
+        ratio_db = response.DB * np.log(size / np.abs(ladder[0].response[probe.inside]))
         return float(np.median(response.average_thirds(ratio_db, in_band_hz, band_hz=loud.band_hz)))
 
     along = (main.direction @ recorded).reshape(loud.n_repeats, loud.period)
@@ -136,8 +135,8 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
 
 
 def _check_alive(rig: Rig, probe: response.Response) -> None:
-    inside = response.find_inside(probe.frequency_hz, band_hz=probe.band_hz)
-    coherence, latency_s = float(np.median(probe.coherence[inside])), probe.latency / probe.rate_hz
+    coherence = float(np.median(probe.coherence[probe.inside]))
+    latency_s = probe.latency / probe.rate_hz
     if coherence < response.ALIVE:
         raise ValueError(
             f"got no motion that follows the sweep (median coherence {coherence:.2f}), expected more; "
