@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.study.actuator import faults
-from feel321.study.actuator.calibrate import find_allowed
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import Response, Sweep, make_sweep, measure_sweep
-from feel321.study.actuator.rig import ActuatorTable, Rig, require_sensor
+from feel321.study.actuator.rig import ActuatorTable, Rig, find_allowed, require_sensor
 
 if TYPE_CHECKING:
     from feel321.study.actuator.mixer import Frames
