@@ -25,7 +25,7 @@ from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study.auditing.evidence import Evidence, weigh
 from feel321.study.auditing.replay import MALFORMED, audit_steps
-from feel321.study.folder import DELIVERED, RATING_COLUMNS, Audit, name_delivered
+from feel321.study.folder import RATING_COLUMNS, Audit
 from feel321.study.freeze import describe_frozen, find_faults
 from feel321.study.numbers import Holder, find_doubles, read_holder
 from feel321.study.people import (
@@ -33,6 +33,7 @@ from feel321.study.people import (
     Progress,
     describe_rigs,
     find_leftovers,
+    list_files,
     list_roster,
     make_progress,
 )
@@ -268,15 +269,6 @@ def _audit_content(records: Records, plan: Plan, folder: Path) -> Iterator[str]:
         elif digest_file(path) != sha256:
             yield f"{name} was changed since it was written; restore it from a copy"
     yield from answers.audit_personal(folder, records)
-
-
-def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
-    """List the files of what was rendered or measured: who names them, where they are, their digest."""
-    for record in records:
-        played = record.content if record.event == events.PartPlayed.event else None
-        if isinstance(played, events.PartPlayed) and played.delivered_sha256:
-            name = name_delivered(int(played.measured.get("file_number", 0)))
-            yield record, folder / DELIVERED / name, played.delivered_sha256
 
 
 # Tables: one may lack what was recorded since it was derived, and nothing else; what it holds is compared row by row.

@@ -5,7 +5,7 @@ import json
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,7 @@ from feel321.study.settings.schema import (
     RecordingTable,
     Settings,
 )
-from feel321.types import Metric, Reducer
+from feel321.types import Metric, MetricInfo, Reducer
 
 CONSENT = "consent"  # the page whose text a lab can set by itself
 
@@ -161,6 +161,15 @@ def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
         entry.title: Surface(entry.sample, folder / entry.picture if entry.picture else None)
         for entry in settings.recordings
     }
+
+
+def list_info(settings: Settings) -> dict[str, MetricInfo]:
+    """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
+    from feel321.analysis.table.metrics import make_info
+
+    facts = {name: table.to_facts() for name, table in settings.metrics.items()}
+    declared = {field.name for field in fields(MetricInfo)}
+    return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
 
 
 def list_origins(settings: Settings) -> dict[str, str]:
