@@ -14,7 +14,7 @@ import csv
 import json
 import re
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from feel321.study.people import read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.journal import digest, list_journals
 from feel321.study.session.opening import FROZEN_FILE
+from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -66,8 +67,7 @@ class Frozen:
 
 def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, str]]:
     """Write `frozen.json`, before the first session of a person; return what it holds and what differs from before."""
-    from feel321.study.sessions import require_current_set
-    from feel321.study.settings.read import read_settings
+    from feel321.study.settings.read import read_settings, require_current_set
 
     former, settings = read_frozen(study), read_settings(study.settings)
     begun = [path.split("/")[1] for path, _ in _list_sessions(study)]
@@ -149,19 +149,27 @@ def _flatten(entry: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
     """List the declared slopes: one for each scale and level on which stimuli are rated, and each metric."""
-    from feel321.analysis.table.metrics import make_info
     from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
     from feel321.names import METRIC_INFO
 
     tasks = settings.list_tasks()
     scales = dict.fromkeys(name for task in tasks for name in (task.scales or (task.protocol,)))
     rated = [RECAST if name == PAIRED else name for name in scales]
-    known = {name: make_info(name, table.to_facts()) for name, table in settings.metrics.items()}
+    known = {**METRIC_INFO, **list_info(settings)}
     for scale in (name for name in rated if name not in {ANSWERED, *CHOSEN}):
         for level in settings.stimuli.levels:
             for metric in settings.analysis.metrics:
-                info = known.get(metric) or METRIC_INFO.get(metric) or make_info(metric, {})
-                yield Hypothesis(scale, level, metric, info.higher)
+                higher = known[metric].higher if metric in known else "better"
+                yield Hypothesis(scale, level, metric, higher)
+
+
+def list_info(settings: Settings) -> dict[str, MetricInfo]:
+    """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
+    from feel321.analysis.table.metrics import make_info
+
+    facts = {name: table.to_facts() for name, table in settings.metrics.items()}
+    declared = {one.name for one in fields(MetricInfo)}
+    return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
 
 
 def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, str]:

@@ -12,7 +12,7 @@ from feel321.files import write_table, write_text
 from feel321.study import folder as folders
 from feel321.study.session import events
 from feel321.study.session import plan as plans
-from feel321.study.session.journal import Anchor, Record, Records, digest
+from feel321.study.session.journal import Anchor, Records, digest
 from feel321.study.thresholds import list_columns, read_thresholds
 
 T = TypeVar("T")
@@ -95,15 +95,6 @@ def find_leftovers(folder: Path) -> list[str]:
     files = {path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
     said = "lies beside a tombstone, the participant withdrew; remove it"
     return [f"{path}: {said}" for path in sorted(files - kept)]
-
-
-def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
-    """List the files of what was rendered or measured: who names them, where they are, their digest."""
-    for record in records:
-        played = record.content if record.event == events.PartPlayed.event else None
-        if isinstance(played, events.PartPlayed) and played.delivered_sha256:
-            name = folders.name_delivered(int(played.measured.get("file_number", 0)))
-            yield record, folder / folders.DELIVERED / name, played.delivered_sha256
 
 
 # Progress and `participants.csv`.

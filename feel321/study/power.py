@@ -40,12 +40,13 @@ from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
-from feel321.study import ratings, sessions
+from feel321.study import ratings
 from feel321.study.folder import StudyFolder, UsageError
 from feel321.study.observer.model import make_model
 from feel321.study.session import plan as plans
 from feel321.study.session.plan import list_by_code
 from feel321.study.settings import read, schema
+from feel321.study.settings.recordings import list_origins
 from feel321.study.settings.schema import Settings
 
 Numbers = int | Sequence[int]
@@ -99,7 +100,7 @@ def set_up(
             "plans studies in which all rate the same ones; leave it out"
         )
     stimuli = read_stimuli(study.stimuli)
-    sessions.require_current_set(study, settings)
+    read.require_current_set(study, settings)
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
     table = _tabulate_plan(settings, stimuli, groups=share, further=further)
@@ -180,7 +181,7 @@ def _tabulate_plan(
             })  # fmt: skip
     return reading.read_table(
         DataFrame(rows), stimuli.to_frame(), metrics=settings.analysis.metrics,
-        sources=read.list_origins(settings), further=further,
+        sources=list_origins(settings), further=further,
     )  # fmt: skip
 
 

@@ -226,9 +226,9 @@ def find_reach(
         )
         return Problems(warnings=(line,))
     mix = render.find_mix(rig)
-    reduced = render.reduced_energy(mix, directions)
+    reduced = render.find_energy(mix, directions)
     differences = {
-        recording: energy_db(reduced, render.original_energy(mix, directions, covariance))
+        recording: energy_db(reduced, render.find_energy(mix, directions, covariance))
         for recording, covariance in covariances.items()
     }
     recording = max(differences, key=lambda name: abs(differences[name]))

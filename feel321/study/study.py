@@ -445,7 +445,7 @@ class Study(Laboratory):
 
     def recordings(self) -> list[Recording]:
         """Read the recordings that `study.toml` names."""
-        from feel321.study.settings.read import open_recordings
+        from feel321.study.settings.recordings import open_recordings
 
         return open_recordings(self.settings, self.folder.path)
 

@@ -58,7 +58,6 @@ def test_files_frames_and_a_folder_are_one_table(
 
 def test_a_table_has_the_shapes_that_others_take(realism: results.Table) -> None:
     assert realism.votes().shape == (36, 6)
-    assert len(realism.items()) == 48
     assert realism.to_frame().equals(realism.rows)
     assert realism.summary().startswith("576 judgements: 6 participants, 48 stimulus")
     assert len(repr(realism)) <= 200
@@ -84,15 +83,16 @@ def test_two_reducers_are_compared_as_the_report_compares_them(realism: results.
 
 
 def test_statistics_of_votes_take_a_table(realism: results.Table) -> None:
-    votes, metric = realism.votes(), realism.items().set_index("stimulus_id")["temporal_match"]
+    votes, facts = realism.votes(), realism.rows.drop_duplicates("stimulus_id")
+    facts = facts.set_index("stimulus_id")
     icc = analysis.intraclass(realism).to_dict()
     assert icc == pytest.approx(analysis.intraclass(votes).to_dict())
     assert analysis.noise_ceiling(realism) == pytest.approx(analysis.noise_ceiling(votes))
     alpha = analysis.krippendorff_alpha(votes)
     assert analysis.krippendorff_alpha(realism) == pytest.approx(alpha)
     judged = analysis.p1401(realism, "temporal_match", order=1, groups="recording")
-    recordings = realism.items().set_index("stimulus_id")["recording"][votes.index]
-    alone = analysis.p1401(votes, metric[votes.index], order=1, groups=recordings)
+    metric, recordings = (facts.loc[votes.index, name] for name in ("temporal_match", "recording"))
+    alone = analysis.p1401(votes, metric, order=1, groups=recordings)
     assert (judged.plcc, judged.rmse) == pytest.approx((alone.plcc, alone.rmse))
     rows = realism.rows[realism.rows["role"] == "test"]
     within = analysis.repeated_measures_correlation(realism, "temporal_match")
@@ -125,7 +125,9 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
     analysis.plot_scatter(realism, "temporal_match", ax=axes[0])
     assert len(axes[0].get_legend().get_texts()) == 9
     drawn = np.sort(np.concatenate([line.get_xydata() for line in axes[0].get_lines()]), axis=0)
-    tests = realism.items().query("role == 'test'")[["temporal_match", "rating"]]
+    means = realism.votes().mean(axis=1).to_frame("rating")
+    metric = realism.rows.groupby("stimulus_id")["temporal_match"].first()
+    tests = means.assign(metric=metric)[["metric", "rating"]]
     np.testing.assert_allclose(drawn, np.sort(tests.to_numpy(), axis=0))
     analysis.plot_profile(table, ax=axes[1])
     assert len(axes[1].get_yticklabels()) == 12

@@ -78,12 +78,8 @@ def varied(rows: pd.DataFrame) -> pd.DataFrame:
 def test_balanced_study_gets_the_full_model_on_means(primary: Primary) -> None:
     assert primary.formula == FULL + REDUCERS
     assert primary.averaged
-    assert (primary.n_rows, primary.n_participants, primary.n_recordings, primary.n_items) == (
-        240,
-        8,
-        6,
-        30,
-    )
+    sizes = primary.n_rows, primary.n_participants, primary.n_recordings, primary.n_items
+    assert sizes == (240, 8, 6, 30)
     assert primary.reductions == ()
 
 
@@ -110,13 +106,9 @@ def test_few_reducers_are_kept_from_zero(reducers: int, held: tuple[str, ...]) -
 def test_difference_is_that_of_the_slopes(primary: Primary) -> None:
     difference = primary.differences.iloc[0]
     assert (difference["first"], difference["second"]) == ("sm", "tm")
-    slopes = primary.slopes
-    assert difference["estimate"] == pytest.approx(
-        slopes["estimate"]["sm"] - slopes["estimate"]["tm"]
-    )
-    assert difference["standardised_estimate"] == pytest.approx(
-        slopes["standardised"]["sm"] - slopes["standardised"]["tm"]
-    )
+    for key, name in (("estimate", "estimate"), ("standardised_estimate", "standardised")):
+        slopes = primary.slopes[name]
+        assert difference[key] == pytest.approx(slopes["sm"] - slopes["tm"])
 
 
 def test_unequal_repeats_keep_rows_and_get_a_term_for_the_cell(rows: pd.DataFrame) -> None:
@@ -184,21 +176,16 @@ def test_holm_counts_every_attribute_and_metric(rows: pd.DataFrame) -> None:
 def test_sensitivity_runs_every_variant(
     rows: pd.DataFrame, primary: Primary, varied: pd.DataFrame
 ) -> None:
-    table = varied
-    assert table["variant"].unique().tolist() == [
-        "primary",
-        "correlated slopes",
-        "without reducers",
-        "rater-standardised",
-        "logits",
-    ]
+    table, names = (
+        varied,
+        "primary; correlated slopes; without reducers; rater-standardised; logits",
+    )
+    assert table["variant"].unique().tolist() == names.split("; ")
     first = table[table["variant"] == "primary"].set_index("metric")
     assert first["estimate"].to_dict() == pytest.approx(primary.slopes["estimate"].to_dict())
     without = fit_primary(rows.query("reducer != 2"), METRICS).slopes["estimate"].to_dict()
-    found = (
-        fit_slopes(make_cells(rows, METRICS).leave_out("reducer", 2)).table["estimate"].to_dict()
-    )
-    assert found == pytest.approx(without)
+    found = fit_slopes(make_cells(rows, METRICS).leave_out("reducer", 2)).table["estimate"]
+    assert found.to_dict() == pytest.approx(without)
     assert table.loc[table["metric"] == "sm", "standardised_low"].min() > 0
 
 

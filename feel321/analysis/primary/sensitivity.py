@@ -44,19 +44,13 @@ if TYPE_CHECKING:
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
 """What may be concluded about a slope."""
 
-SURVIVES, LOST = "survives", "lost"
-"""What becomes of a verdict with level in the model."""
-
+SURVIVES, LOST = "survives", "lost"  # What becomes of a verdict with level in the model
 LEVEL = 0.05
 """Of a verdict, after Holm's adjustment, and of an exceptional reducer, after Bonferroni's."""
 
 STIMULUS = "stimulus"
-CANDIDATES = 2
-"""Stimuli per metric and way of centring that are left out exactly."""
-
-MOVED = 1.0
-"""Standard errors by which a slope must change to be named."""
-
+CANDIDATES = 2  # Stimuli per metric and way of centring that are left out exactly
+MOVED = 1.0  # Standard errors by which a slope must change to be named
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some thirty models would take many minutes."""
 
@@ -69,15 +63,24 @@ LEAST_EXCESS = 5.0
 FEWEST_REDUCERS = 5
 """Fewer than this do not say how far reducers differ from what their metrics predict."""
 
-DELIVERED = "_delivered"
-"""Suffix of the columns of metrics of what was delivered."""
-
+DELIVERED = "_delivered"  # Suffix of the columns of metrics of what was delivered
 RIGS = ("rig", "calibration")
 """Columns on what participants felt the stimuli on; there where they differ."""
 
 COLUMNS = (
-    "estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high",
-)  # fmt: skip
+    "estimate",
+    "se",
+    "df",
+    "t",
+    "p",
+    "low",
+    "high",
+    "standardised",
+    "standardised_low",
+    "standardised_high",
+)
+"""fmt: skip."""
+
 TENTHS = ("tenth", "tenth_low", "tenth_high")
 
 

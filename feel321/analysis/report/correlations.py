@@ -19,7 +19,7 @@ from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, read_ends
 from feel321.analysis.table.items import Part, make_items, split_tests
 from feel321.analysis.table.metrics import describe_explored, order_reducers
-from feel321.analysis.table.notes import SPACE, note_apart
+from feel321.analysis.table.reading import SPACE, note_apart
 from feel321.analysis.table.schema import APART, CHOSEN, PAIRED, RECAST
 from feel321.analysis.words import format_method, format_span
 

@@ -2,11 +2,10 @@
 
 Conventions: an item is a stimulus; a cell is the mean of a participant's repeated ratings of an item, NaN for none;
 only items with role ``test`` count, because the hidden reference and the anchors are chosen to be far apart and would
-inflate every correlation. Every public function that takes ratings passes them through `open_ratings` first: the index
-of a table means nothing, a row is one judgement. A judgement marked in a column ``rejected`` does not count, whatever
-its rating; the notes count them. A stimulus is named by ``stimulus_id``, or by recording, reducer and level together,
-or else by ``stimulus`` or ``item``. What is said of other recordings rests on how many different things were recorded:
-intervals draw sources, with all their recordings, and mixed models hold what those of a source share.
+inflate every correlation. The index of a table means nothing (`open_ratings`), a row is one judgement; one marked in a
+column ``rejected`` does not count, and the notes count them. A stimulus is named by ``stimulus_id``, or by recording,
+reducer and level together, or else by ``stimulus`` or ``item``. Intervals draw sources, with all their recordings, and
+mixed models hold what the recordings of a source share.
 """
 
 from __future__ import annotations
@@ -96,21 +95,6 @@ class Table(Result):
             The same metrics and notes, and fewer rows.
         """
         return replace(self, rows=_choose(self.rows, scale, level))
-
-    def items(self) -> DataFrame:
-        """Average the ratings of every stimulus.
-
-        Returns
-        -------
-        DataFrame
-            A row per stimulus, scale and level: role, recording, reducer, rating (mean over participants of their mean
-            over repeats), n_participants, and the metrics.
-        """
-        keys = ["scale", "level", "role", "recording", "reducer", STIMULUS]
-        cells = self.rows.groupby([*keys, "participant"], observed=True)["rating"].mean()
-        means = cells.groupby(keys, observed=True).agg(rating="mean", n_participants="size")
-        metrics = self.rows.drop_duplicates(STIMULUS).set_index(STIMULUS)
-        return means.reset_index().join(metrics[[*self.metrics, *self.further]], on=STIMULUS)
 
     def votes(self) -> DataFrame:
         """Lay the ratings of test stimuli of one scale and level out as items by raters.
@@ -281,22 +265,27 @@ def open_tests(
     if rows.empty:
         raise ValueError("ratings must be of test stimuli, got no row with role 'test'")
     refuse_pooled(rows, metrics=metrics)
-    _refuse_unnamed(rows, names)
-    for name in ("rating", *metrics):
-        numbers = read_numbers(rows[name], what=f"ratings, {name!r}")
-        if bad := int((~np.isfinite(numbers)).sum()):
-            got = f"got {bad} values that are not finite; leave them out"
-            raise ValueError(f"ratings: column '{name}' must be finite, {got}")
-        rows = rows.assign(**{name: numbers})
-    return rows, notes
+    refuse_unnamed(rows, names)
+    return read_finite(rows, ["rating", *metrics]), notes
 
 
-def _refuse_unnamed(rows: DataFrame, names: Iterable[str]) -> None:
+def refuse_unnamed(rows: DataFrame, names: Iterable[str], *, what: str = "ratings") -> None:
     """Refuse rows without a name: grouped by it they would be dropped in silence."""
     for name in names:
         if missing := int(rows[name].isna().sum()):
-            must, do = f"ratings must name a {name} in each row", "name it or leave them out"
+            must, do = f"{what} must name a {name} in each row", "name it or leave them out"
             raise ValueError(f"{must}, got {missing} without; {do}")
+
+
+def read_finite(rows: DataFrame, names: Iterable[str], *, what: str = "ratings") -> DataFrame:
+    """Read columns of numbers, none of them missing."""
+    for name in names:
+        numbers = read_numbers(rows[name], what=f"{what}, {name!r}")
+        if bad := int((~np.isfinite(numbers)).sum()):
+            got = f"got {bad} values that are not finite; leave them out"
+            raise ValueError(f"{what}: column '{name}' must be finite, {got}")
+        rows = rows.assign(**{name: numbers})
+    return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,7 +337,7 @@ def select_tests(ratings: Table | DataFrame, *, matched: bool = True) -> DataFra
     """Select the ratings of single test stimuli; matched: those that the metrics describe."""
     rows = open_ratings(ratings)
     rows = rows.assign(**{name: "" for name in ARMS if name not in rows})
-    _refuse_unnamed(rows, ARMS)
+    refuse_unnamed(rows, ARMS)
     rows = recast_pairs(rows)
     rated = ~rows["scale"].isin(APART)
     if ROLE in rows:

@@ -25,7 +25,7 @@ from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study.auditing.evidence import Evidence, weigh
 from feel321.study.auditing.replay import MALFORMED, audit_steps
-from feel321.study.folder import RATING_COLUMNS, Audit
+from feel321.study.folder import RATING_COLUMNS, Audit, list_delivered
 from feel321.study.freeze import describe_frozen, find_faults
 from feel321.study.numbers import Holder, find_doubles, read_holder
 from feel321.study.people import (
@@ -33,7 +33,6 @@ from feel321.study.people import (
     Progress,
     describe_rigs,
     find_leftovers,
-    list_files,
     list_roster,
     make_progress,
 )
@@ -262,7 +261,7 @@ def _audit_content(records: Records, plan: Plan, folder: Path) -> Iterator[str]:
     yield from steps
     if steps:  # records need not be as they should
         return
-    for record, path, sha256 in list_files(records, folder):
+    for record, path, sha256 in list_delivered(records, folder):
         name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
         if not path.is_file():
             yield f"{name} is gone; restore it from a copy"
@@ -394,7 +393,8 @@ def _find_wrong(row: Row, own: Row, lagging: set[str]) -> str:
     """Find the first cell that the journals contradict."""
     got, last = row.get("last_utc") or "", own.get("last_utc", "")
     if got > last:
-        return f"last_utc is {got}, the journals {f'end at {last}' if last else 'that are left hold nothing'}"
+        said = f"the journals end at {last}" if last else "but there is no journal"
+        return f"last_utc is {got}, {said}"
     is_old = got < last or (own.get("rejected"), row.get("rejected")) == ("true", "false")
     for name, value in own.items():
         if (got := row.get(name, "")) != value and not (is_old and name in lagging):

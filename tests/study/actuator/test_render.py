@@ -20,12 +20,11 @@ from feel321.study.actuator.certificate import Certificate, make_manual
 from feel321.study.actuator.output import Output
 from feel321.study.actuator.render import (
     find_directions,
+    find_energy,
     find_mix,
     find_rig_problems,
     find_tone_problems,
     make_tone,
-    original_energy,
-    reduced_energy,
     render_stimulus,
     render_tones,
 )
@@ -224,15 +223,15 @@ def test_energies_are_those_at_the_hand(seed: int, tmp_path: Path) -> None:
     covariance = axes @ axes.T
     assert unknown == []
     assert reach_hand(rig, axes[0], tmp_path) == pytest.approx(
-        reduced_energy(mix, directions), rel=1e-5
+        find_energy(mix, directions), rel=1e-5
     )
     assert reach_hand(rig, axes, tmp_path) == pytest.approx(
-        original_energy(mix, directions, covariance), rel=1e-5
+        find_energy(mix, directions, covariance), rel=1e-5
     )
     # Default weights: one for reduced stimuli always, one on average over directions for those with three axes.
     default = find_mix(drawn)
-    assert reduced_energy(default, directions) == pytest.approx(1.0)
-    assert original_energy(default, directions, np.eye(3)) == pytest.approx(1.0)
+    assert find_energy(default, directions) == pytest.approx(1.0)
+    assert find_energy(default, directions, np.eye(3)) == pytest.approx(1.0)
 
 
 def test_coils_that_cancel_each_other_are_refused() -> None:

@@ -13,6 +13,7 @@ import pytest
 from feel321.files import digest_file
 from feel321.study.auditing.study import audit_journals, audit_study, examine
 from feel321.study.folder import StudyFolder
+from feel321.study.people import write_roster
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session import events
 from feel321.study.session.journal import create_journal, read_journal, utc_now
@@ -104,6 +105,11 @@ def rate_twice(study: StudyFolder) -> None:
     chain(study.journals[0], [*records[:9], *records[8:]])
 
 
+def lose_journal(study: StudyFolder) -> None:
+    write_roster(study)
+    (study.sessions / "sim001" / "session-01.jsonl").unlink()
+
+
 def copy_as(study: StudyFolder, old: str, new: str) -> None:
     place = shutil.copytree if (study.sessions / old).is_dir() else shutil.copy
     place(study.sessions / old, study.sessions / new)
@@ -153,6 +159,7 @@ CHANGES: dict[str, tuple[Callable[[StudyFolder], object], list[str]]] = {
         lambda s: s.manifest.write_text("a", encoding="utf-16"),
         ["{study}/stimuli/manifest.csv, line 1: the text is in UTF-16"],
     ),
+    "a journal that is gone": (lose_journal, ["{study}/participants.csv, line 2: last_utc is "]),
     "no manifest": (
         lambda s: (s.stimuli / "manifest.json").unlink(),
         ["{study}/stimuli/manifest.json: "],

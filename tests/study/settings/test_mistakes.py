@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from feel321.study.settings.conflicts import find_conflicts
-from feel321.study.settings.read import read_settings
+from feel321.study.settings.read import find_conflicts, read_settings
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
 TWO = '[[recordings]]\nscene = "bumps"\nsample = "ridges"\n[[recordings]]\nscene = "hard_taps"\n'
