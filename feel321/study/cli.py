@@ -58,7 +58,7 @@ QUICK = {"simulate": "lead_simulated"}
 
 VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 
-RESUMED = {"collect", "demo", "run", "simulate", "withdraw"}
+RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 LONGEST = 1000  # letters of a line of an error

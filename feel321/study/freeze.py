@@ -133,7 +133,8 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     protocols = digest_protocols(settings.session.protocols)
     found |= {f"code.{name}": sha256 for name, sha256 in protocols.items()}
     for claim in settings.paper.claims if settings.paper else ():
-        found[f"paper.claims.{claim.name}"] = to_json_value(asdict(claim))
+        numbers = {"paper": claim.paper._asdict()}
+        found[f"paper.claims.{claim.name}"] = to_json_value(asdict(claim) | numbers)
     found |= {f"analysis.{name}": said for name, said in MODEL.items()}
     found |= {f"software.{name}": number for name, number in list_versions().items()}
     return dict(sorted(found.items()))
@@ -183,8 +184,16 @@ def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str,
     return {
         name: f"{name}: was {describe(frozen.get(name))}, now {describe(now.get(name))}"
         for name in sorted({*frozen, *now})
-        if frozen.get(name) != now.get(name)
+        if _drop_unset(frozen.get(name)) != _drop_unset(now.get(name))
     }
+
+
+def _drop_unset(value: Any) -> Any:  # noqa: ANN401 - whatever JSON holds
+    """Drop what is not set: a key that came with a newer feel321 is no change."""
+    if isinstance(value, dict):
+        kept = {key: _drop_unset(one) for key, one in value.items()}
+        return {key: one for key, one in kept.items() if one not in (None, {})}
+    return [_drop_unset(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def list_changes(study: StudyFolder, settings: Settings, frozen: Frozen) -> dict[str, str]:

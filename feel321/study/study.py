@@ -172,7 +172,7 @@ class Study(Laboratory):
         """Find how many participants, recordings and reducers a study needs.
 
         Simulates this very study: its stimuli, protocols, primary model and Holm's method. Writes a page, tables
-        and JSON into STUDY/power.
+        and JSON into STUDY/power. After Ctrl-C the same command continues.
 
         Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
 
@@ -228,6 +228,7 @@ class Study(Laboratory):
                 sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
+                keep=target / power.KEPT,
                 workers=as_workers(workers, scheduler),
                 progress=step,
             )

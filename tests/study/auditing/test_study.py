@@ -160,31 +160,22 @@ CHANGES: dict[str, tuple[Callable[[StudyFolder], object], list[str]]] = {
         ["{study}/stimuli/manifest.csv, line 1: the text is in UTF-16"],
     ),
     "a journal that is gone": (lose_journal, ["{study}/participants.csv, line 2: last_utc is "]),
-    "no manifest": (
-        lambda s: (s.stimuli / "manifest.json").unlink(),
-        ["{study}/stimuli/manifest.json: "],
-    ),
+    "no manifest": (lambda s: (s.stimuli / "manifest.json").unlink(), ["{study}/stimuli/manifest.json: "]),
     "a stimulus set that nobody was planned with": (
         lambda s: s.manifest.write_bytes(s.manifest.read_bytes().replace(b"\r\n", b"\n")),
         ["{sim001}/plan.json: names another stimulus set than the one that is built"],
     ),
-    "a rating that stands there twice": (
-        rate_twice,
-        ["{sim001}/session-01.jsonl, line 10: holds 'rated', by "],
-    ),
+    "a rating that stands there twice": (rate_twice, ["{sim001}/session-01.jsonl, line 10: holds 'rated', by "]),
     "time that runs backwards": (
         make_time_run_backwards,
         ["{sim001}/session-01.jsonl, line 5: is older than the line before"],
     ),
-    "what lies beside a tombstone": (
-        bring_back,
-        ["{study}/sessions/sim002/plan.json: lies beside a tombstone"],
-    ),
+    "what lies beside a tombstone": (bring_back, ["{study}/sessions/sim002/plan.json: lies beside a tombstone"]),
     "a stranger": (
         lambda s: copy_as(s, "sim002", "sim001 backup"),
         ["{study}/sessions/sim001 backup: not a participant's folder"],
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("what", CHANGES)
