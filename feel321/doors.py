@@ -9,7 +9,6 @@ import math
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from threading import Event, Thread
 from typing import TYPE_CHECKING, Any, NoReturn, SupportsFloat, TypeVar
@@ -20,9 +19,6 @@ if TYPE_CHECKING:
 
 
 TICK_S = 1.0  # between two looks of a progress bar at the clock
-
-_SHOW: ContextVar[Callable[[str], object]] = ContextVar("_SHOW", default=str)
-"""Shows what is being done. Not an argument: it is of use only where somebody watches, and work knows no watchers."""
 
 
 def as_path(path: str | os.PathLike[str], what: str = "path") -> Path:
@@ -67,10 +63,10 @@ def follow(
     from tqdm import tqdm
 
     over = Event()
-    with tqdm(desc=what, leave=False, bar_format="{desc}: {elapsed}{postfix}") as bar:
+    with tqdm(desc=what, leave=False, bar_format="{desc}: {elapsed}") as bar:
 
         def move(done: int, total: int) -> None:
-            bar.bar_format = "{desc}: {n_fmt}/{total_fmt} |{bar:20}| {elapsed}<{remaining}{postfix}"
+            bar.bar_format = "{desc}: {n_fmt}/{total_fmt} |{bar:20}| {elapsed}<{remaining}"
             bar.total = total
             bar.update(done - bar.n)
 
@@ -81,26 +77,10 @@ def follow(
         ticking = Thread(target=tick, daemon=True)
         ticking.start()
         try:
-            with announcing(bar.set_postfix_str):
-                yield move
+            yield move
         finally:
             over.set()
             ticking.join()
-
-
-@contextmanager
-def announcing(show: Callable[[str], object]) -> Iterator[None]:
-    """Show what is announced meanwhile."""
-    token = _SHOW.set(show)
-    try:
-        yield
-    finally:
-        _SHOW.reset(token)
-
-
-def announce(text: str) -> None:
-    """Say what is being done now, to whoever watches the progress."""
-    _SHOW.get()(text)
 
 
 def as_names(names: Iterable[str], what: str) -> tuple[str, ...]:

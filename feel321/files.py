@@ -40,9 +40,10 @@ def defuse(cell: Any) -> Any:  # noqa: ANN401 - any cell of a table
 def list_csv(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> Iterator[str]:
     """Write a CSV table line by line, the head first."""
     text = io.StringIO(newline="")
-    table = csv.DictWriter(text, columns, extrasaction="ignore")
+    table = csv.writer(text)
     for row in chain([dict(zip(columns, columns, strict=True))], rows):
-        table.writerow({name: defuse(cell) for name, cell in row.items()})
+        cells = [row.get(name, "") for name in columns]
+        table.writerow([defuse(cell) if isinstance(cell, str) else cell for cell in cells])
         yield text.getvalue()
         text.seek(0)
         text.truncate()

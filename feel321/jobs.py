@@ -13,7 +13,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextvars import Context, copy_context
 from dataclasses import dataclass
 from importlib.util import find_spec
 from itertools import islice, starmap
@@ -73,16 +72,13 @@ def run_jobs(
     else:
         from joblib import Parallel, delayed
 
+        many: dict[str, Any] = {"n_jobs": threads, "backend": "threading"}
         if workers.count > 1:
             # After a kill joblib tidies up, and need not say so between our lines.
             os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
-            crew = Parallel(workers.count, return_as="generator_unordered")
-            calls = (delayed(_do)(place, job) for place, job in enumerate(jobs))
-        else:
-            # Each thread has a context of its own, in which it can say what is being done.
-            crew = Parallel(threads, "threading", return_as="generator_unordered")
-            run: Any = delayed(Context.run)
-            calls = (run(copy_context(), _do, place, job) for place, job in enumerate(jobs))
+            many = {"n_jobs": workers.count}
+        crew = Parallel(**many, return_as="generator_unordered")
+        calls = (delayed(_do)(place, job) for place, job in enumerate(jobs))
         yield from crew(calls)
 
 

@@ -13,15 +13,13 @@ from feel321.doors import import_lazily as _import_lazily
 
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
-    from feel321.analysis.association.correlate import compare_metrics, correlate
-    from feel321.analysis.choices import predict_votes
+    from feel321.analysis.association import compare_metrics, correlate
     from feel321.analysis.consistency import rater_model
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
     from feel321.analysis.contrasts.compare import compare_reducers, equivalence
     from feel321.analysis.contrasts.told_apart import discriminate
     from feel321.analysis.mixed.model import contrast, fit_mixed
     from feel321.analysis.plots import (
-        plot,
         plot_correlations,
         plot_profile,
         plot_recording,
@@ -32,7 +30,6 @@ if _TYPE_CHECKING:
     from feel321.analysis.primary.model import fit_attributes, fit_primary
     from feel321.analysis.report.write import write_report
     from feel321.analysis.screening import RULES, screen_raters
-    from feel321.analysis.space import fit_space
     from feel321.analysis.standard import compare_dependent, p1401, repeated_measures_correlation
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.reading import read_table
@@ -43,10 +40,10 @@ __all__ = [
     "RULES", "Table", "advise_tradeoff", "bradley_terry",
     "compare_dependent", "compare_metrics", "compare_reducers", "contrast", "correlate",
     "discriminate", "equivalence", "fit_attributes", "fit_mixed", "fit_primary",
-    "fit_space", "intraclass",
+    "intraclass",
     "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401",
-    "plot", "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
-    "plot_spectrum", "predict_votes", "rater_model",
+    "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
+    "plot_spectrum", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters",
     "write_report",
 ]  # fmt: skip

@@ -20,7 +20,7 @@ from feel321.analysis.arrays import CONFIDENCE, Values, check_columns
 from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table
 from feel321.analysis.table.schema import CHOSEN, HIGHEST
-from feel321.doors import as_names, describe
+from feel321.doors import as_names
 from feel321.records import Statistic
 
 if TYPE_CHECKING:
@@ -65,8 +65,8 @@ def gather_votes(table: Table, metrics: Sequence[str] = ()) -> Votes:
     """Gather the votes of one scale; with metrics, those that the metrics are asked about."""
     import pandas as pd
 
-    if not isinstance(table, Table) or table.stimuli is None:
-        raise TypeError(f"table must be a Table of read_table, got {describe(table)}")
+    if table.stimuli is None:
+        raise ValueError("table must be one of read_table, got one without stimuli")
     rows, listed, names = (
         table.rows[table.rows["scale"].isin(CHOSEN)],
         table.stimuli,
@@ -110,72 +110,21 @@ def gather_votes(table: Table, metrics: Sequence[str] = ()) -> Votes:
     )  # fmt: skip
 
 
-def predict_votes(
-    table: Table,
-    metrics: Sequence[str] | None = None,
-    *,
-    scale: str | None = None,
-    level: str | None = None,
-) -> Statistic:
-    """Count how many choices between two stimuli each metric predicts.
+def predict(votes: Votes) -> Statistic:
+    """Count how many votes each metric predicts: the one for the stimulus with its better value.
 
-    Parameters
-    ----------
-    table : Table
-        Triplets or preferences, as `read_table` gives them.
-    metrics : sequence of str, optional
-        Columns of the stimuli; the declared ones of the table if left out.
-    scale, level : str, optional
-        Which choices; needed where there are several scales.
+    ``shares``, indexed by metric: ``share`` of votes predicted, a tie counting half, its 95 % two-way interval ``low
+    high``, ``p`` against chance (0.5), ``p_holm`` and ``n_ties``; ``differences`` of two metrics' shares, likewise;
+    ``others others_low others_high``, the share that the majority of the other participants made of the same pair, and
+    ``majority``, that of all: the ceiling from both sides (Nili et al. 2014, doi 10.1371/journal.pcbi.1003553).
 
-    Returns
-    -------
-    Statistic
-        ``shares``, indexed by metric: ``share`` of choices predicted, a tie counting half, its 95 % two-way interval
-        ``low high``, ``p`` against chance (0.5), ``p_holm`` and ``n_ties``; ``differences`` of two metrics' shares,
-        likewise; ``others others_low others_high``, the share that the majority of the other participants made of the
-        same pair, and ``majority``, that of all: the ceiling from both sides [2]_; ``n_votes n_participants
-        n_recordings n_pairs notes``.
-
-    Raises
-    ------
-    ValueError
-        If there is no choice between two test stimuli, or a metric is not a column of the stimuli.
-
-    Notes
-    -----
-    A metric predicts the stimulus with its better value. Intervals hold for other people and other recordings: the
-    variance is that of clustering by participants and by recordings [1]_, V_P + V_R - V_PR, each part multiplied by
+    Intervals hold for other people and other recordings: the variance is that of clustering by participants and by
+    recordings (Cameron, Gelbach & Miller 2011, doi 10.1198/jbes.2010.07136), V_P + V_R - V_PR, each part multiplied by
     G / (G - 1) for G groups, and never less than V_P or V_R; 95 % t intervals with U - 1 degrees of freedom, U the
     smaller number of the two, of shares on the scale of log odds. Below 3 participants or recordings there is none.
     A bootstrap of both counts the noise of choices three times: in 300 simulated studies of a metric without effect it
-    found one in 0 to 2 %, this variance in 1 to 5 % (nominal 5 %). Other reducers may rank metrics differently.
-
-    References
-    ----------
-    .. [1] Cameron, Gelbach & Miller (2011), doi 10.1198/jbes.2010.07136
-    .. [2] Nili et al. (2014), doi 10.1371/journal.pcbi.1003553
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> manifest = pd.DataFrame({"stimulus_id": list("xyz"), "recording": "oak", "reducer": list("abc"),
-    ...     "role": "test", "match": [0.9, 0.5, 0.1]})
-    >>> votes = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxz"), "other_id": list("yzzx"),
-    ...     "scale": "preference", "trial": [1, 2, 1, 2], "rating": [100, 100, 0, 0]})
-    >>> table = analysis.read_table(votes, manifest, metrics=["match"])
-    >>> analysis.predict_votes(table).shares["share"].tolist()
-    [0.75]
+    found one in 0 to 2 %, this variance in 1 to 5 % (nominal 5 %).
     """
-    if isinstance(table, Table):
-        table = table.select(scale, level=level)
-        metrics = table.metrics if metrics is None else metrics
-    return predict(gather_votes(table, metrics or ()))
-
-
-def predict(votes: Votes) -> Statistic:
-    """Count how many votes each metric predicts."""
     import pandas as pd
 
     chosen = np.where(votes.chose_first, 1.0, -1.0)[:, None]

@@ -33,9 +33,7 @@ from feel321.records import Statistic
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-SETTLED = 1e-8
-"""Norm of the change of all qualities, over the spread of the votes, at which the projections stop."""
-
+SETTLED = 1e-8  # Norm of the change of all qualities, over the spread of the votes, at which the projections stop
 MOST_ROUNDS = 10_000
 NOISE = 1e-8
 """Added to squared inconsistencies, over the variance of the votes: a rater without noise would be all that counts."""
@@ -48,9 +46,7 @@ FEWEST_COMPARED = 6
 """Raters below which none can stand out: nobody knows how far honest ones differ."""
 
 LEVEL = 0.05  # Chance that anybody is said to stand out among raters who differ as honest ones do
-MOST_APART = 0.25
-"""Share of raters who may stand out; with more of them it is not they who are the exception."""
-
+MOST_APART = 0.25  # Share of raters who may stand out; with more of them it is not they who are the exception
 FLOOR, PERMUTATIONS = 0.95, 499
 """Share of permutations that an expert's measure exceeds, and how many there are."""
 

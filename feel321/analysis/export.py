@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from feel321.analysis.primary import rcode
-from feel321.analysis.primary.model import Primary, fit_primary
+from feel321.analysis.primary.model import PENALISED, Primary, fit_primary, write_fit
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, WHO
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.report.section import make_slug, thin_parts
@@ -75,9 +74,9 @@ def _write_model(model: Primary, place: Path) -> None:
         "library(lmerTest)",
         'model <- read.csv("model.csv", check.names = FALSE)',
         *(f"model${name} <- factor(model${name})" for name in groups),
-        *([rcode.PENALISED.rstrip()] if model.penalty else []),
+        *([PENALISED.rstrip()] if model.penalty else []),
         f"# feel321 believes at most {model.fit.uncertainty.most_df:g} degrees of freedom.",
-        f"fit <- {rcode.write_fit(model.formula, 'model', penalty=model.penalty)}",
+        f"fit <- {write_fit(model.formula, 'model', penalty=model.penalty)}",
         "print(summary(fit))",
         "",
     ]

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,11 +20,9 @@ Row = Mapping[str, float]
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def render_template(name: str, *, styles: Sequence[str] = (), **values: object) -> str:
-    """Render a page, which finds the style sheets as `style` and the filters of `FILTERS`."""
-    style = "".join(
-        (TEMPLATES / sheet).read_text(encoding="utf-8") for sheet in ("page.css", *styles)
-    )
+def render_template(name: str, **values: object) -> str:
+    """Render a page, which finds the style sheet as `style` and the filters of `FILTERS`."""
+    style = (TEMPLATES / "page.css").read_text(encoding="utf-8")
     return _open_templates(escape=True).get_template(name).render(style=style, **values)
 
 
@@ -85,14 +82,6 @@ FILTERS: Mapping[str, Any] = {
     "percent": lambda share: f"{words.format_number(100 * share, kind='count')} %",
 }
 """Filters of all templates: names and numbers as `feel321.analysis.words` writes them."""
-
-
-def write_script_data(value: object) -> Markup:
-    """Write JSON to stand in a script element, which no text in it can end or leave open."""
-    from markupsafe import Markup
-
-    text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return Markup(text.replace("<", "\\u003c"))  # noqa: S704 - no < is left in it
 
 
 UNWANTED = re.compile(

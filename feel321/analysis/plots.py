@@ -12,7 +12,7 @@ from feel321.analysis.figures import kinds
 from feel321.analysis.figures.style import assign_looks, make_handles
 from feel321.analysis.table.items import Table, open_tests
 from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.words import capitalise, format_axis, format_measure, format_name
+from feel321.analysis.words import capitalise, format_measure, format_name
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,7 +45,7 @@ def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = N
     stimuli = stimulus_means(rows).join(values, on="stimulus_id")
     ax, looks = _find_axes(ax), assign_looks(order_reducers(stimuli["reducer"]))
     shown = kinds.plot_stimuli(ax, stimuli, metric, looks=looks)
-    ax.set(xlabel=format_axis(metric), ylabel=_label_ratings(rows))
+    ax.set_ylabel(_label_ratings(rows))
     ax.legend(shown.values(), map(format_name, shown))
     return ax
 
@@ -67,15 +67,13 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
     """
     profile, ax = profile_reducers(ratings), _find_axes(ax)
     names = order_reducers(profile["reducer"])
-    parts = list(profile.groupby(["scale", "level"], observed=True))
-    if len(parts) == 1:
+    part = profile["scale"].map(format_name) + ", " + profile["level"].map(format_name)
+    if len(part.unique()) == 1:
         kinds.plot_profile(ax, profile, participant_means(ratings), looks=assign_looks(names))
     else:
-        looks = assign_looks([", ".join(format_name(str(one)) for one in key) for key, _ in parts])
-        part = profile["scale"].map(format_name) + ", " + profile["level"].map(format_name)
-        order = {name: place for place, name in enumerate(names)}
+        looks = assign_looks(sorted(part.unique()))
         frame = profile.assign(part=part, name=profile["reducer"].map(format_name))
-        frame = frame.sort_values("reducer", key=lambda own: own.map(order), kind="stable")
+        frame = frame.sort_values("reducer", key=lambda own: own.map(names.index), kind="stable")
         kinds.plot_forest(
             ax, frame, columns="mean low high", series="part", looks=looks, include=()
         )
@@ -99,14 +97,21 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     Axes
         The same: change in rating per +0.1 of a metric, a heading per model and a row per slope.
     """
+    import pandas as pd
+
     from feel321.analysis.primary.model import Primary
 
     ax, items = _find_axes(ax), {"": models} if isinstance(models, Primary) else models
-    names = (", ".join(name) if isinstance(name, tuple) else str(name) for name in items)
-    named = dict(zip(names, items.values(), strict=True))
-    frame = kinds.list_slopes(named, {})
-    looks, heading = kinds.look_up(frame["metric"]), "attribute" if any(named) else ""
-    kinds.plot_forest(ax, frame, series="metric", looks=looks, heading=heading)
+    tables = []
+    for key, model in items.items():
+        name = ", ".join(map(format_name, key)) if isinstance(key, tuple) else format_name(str(key))
+        tables.append(model.slopes.reset_index().assign(model=name, filled=not model.fit.singular))
+    frame = pd.concat(tables)
+    frame["name"] = frame["metric"].map(format_name)
+    kinds.plot_forest(
+        ax, frame, columns="tenth tenth_low tenth_high", series="metric",
+        looks=kinds.look_up(frame["metric"]), heading="model" if any(frame["model"]) else "",
+    )  # fmt: skip
     ax.set_xlabel("Change in rating per +0.1 of the metric")
     return ax
 
@@ -132,58 +137,13 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
     ax = _find_axes(ax)
     keys = [key for key in ("scale", "level", "metric", "method") if key in frame]
     keys = [key for key in keys if key == "metric" or len(frame[key].unique()) > 1]
-    named = [
-        ", ".join(format_name(str(row[key])) for key in keys) for row in frame.to_dict("records")
-    ]
+    words = frame[keys].astype(str).map(format_name)
     ceilings = frame["ceiling"].to_numpy(float)
     include = (0.0, *ceilings[np.isfinite(ceilings)])
-    kinds.plot_forest(ax, frame.assign(name=named), include=include)
+    kinds.plot_forest(ax, frame.assign(name=words.agg(", ".join, axis=1)), include=include)
     ax.vlines(ceilings, np.arange(len(frame)) - 0.3, np.arange(len(frame)) + 0.3, color="0.4")
     ax.set_xlabel("Correlation with mean ratings")
     return ax
-
-
-def plot(result: object, *, ax: Axes | None = None) -> Axes:
-    """Plot whatever there is one obvious plot of, in one line of a notebook.
-
-    Parameters
-    ----------
-    result : object
-        A Primary, what `fit_attributes` or `correlate` returned, a table of correlations or of ratings, a recording or
-        a reduced signal.
-    ax : Axes, optional
-        Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        Those of `plot_slopes`, `plot_correlations`, `plot_profile` or `plot_recording`.
-
-    Raises
-    ------
-    TypeError
-        If there is no obvious plot of it.
-
-    Examples
-    --------
-    >>> from feel321 import analysis, stimuli
-    >>> analysis.plot(stimuli.make_scene("hard_taps")).get_ylabel()
-    'Acceleration (m/s²)'
-    """
-    given: Any = result
-    columns = set(getattr(result, "columns", ()))
-    if isinstance(result, Table) or {"participant", "rating"} <= columns:
-        return plot_profile(given, ax=ax)
-    if {"value", "ceiling"} <= (columns or set(dir(result))):
-        return plot_correlations(given, ax=ax)
-    if hasattr(result, "rate_hz"):
-        return plot_recording(given, ax=ax)
-    if hasattr(result, "slopes") or hasattr(result, "models"):
-        return plot_slopes(given, ax=ax)
-    raise TypeError(
-        "result must be a Primary, a correlation, a table of correlations or ratings, or a recording; got "
-        f"{type(result).__name__}: call a plot_... function, or draw its to_frame()"
-    )
 
 
 def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Axes:
@@ -200,6 +160,12 @@ def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Ax
     -------
     Axes
         The same, in seconds and m/s².
+
+    Examples
+    --------
+    >>> from feel321 import analysis, stimuli
+    >>> analysis.plot_recording(stimuli.make_scene("hard_taps")).get_ylabel()
+    'Acceleration (m/s²)'
     """
     from feel321.stimuli.recording import as_signal
 

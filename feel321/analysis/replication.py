@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from feel321.analysis import space, words
-from feel321.analysis.association.correlate import correlate
+from feel321.analysis.association import correlate
 from feel321.analysis.contrasts.compare import fit_reducers
 from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
 from feel321.analysis.mixed.model import contrast
@@ -374,6 +374,8 @@ def explain_spread(rows: DataFrame, metric: str) -> str:
     mean = metric.removesuffix(SD) + MEAN
     if not (metric in ROTATIONS and metric.endswith(SD) and {metric, mean} <= set(rows)):
         return ""
+    from feel321.analysis.page import render_words
+
     items = rows.loc[rows["role"] == "test", ["recording", "reducer", mean, metric]]
     items = items.drop_duplicates()
     own = items[[mean, metric]].astype(float)
@@ -386,19 +388,11 @@ def explain_spread(rows: DataFrame, metric: str) -> str:
         return ""
     means = own.groupby(items["reducer"].astype(str)).mean()
     lowest = str(means[mean].idxmin())
-    is_smallest = means.loc[lowest, metric] == means[metric].min()
-    least, spread = (words.format_number(float(means[one][lowest])) for one in (mean, metric))
-    why = (
-        f"a reducer that matches nothing has nothing to lose when the sensor turns, and {lowest} has the lowest "
-        f"mean ({least}) and the smallest spread ({spread})"
-        if is_smallest
-        else f"reducers that match better vary more ({lowest}: lowest mean, {least}; spread {spread})"
-    )
-    return (
-        f"a small {words.format_name(metric)} is no merit by itself: within recordings it rises with the mean (r = "
-        f"{words.format_number(together)}): {why}. Alone, the spread may relate to ratings in the unexpected "
-        "direction; with the mean in the model, its slope compares reducers that match equally well."
-    )
+    (text,) = render_words(
+        "spread", metric=metric, together=together, lowest=lowest, mean=means.loc[lowest, mean],
+        spread=means.loc[lowest, metric], smallest=means[metric].min(),
+    )  # fmt: skip
+    return text
 
 
 def measure_correlation(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:

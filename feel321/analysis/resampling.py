@@ -172,18 +172,6 @@ def draw_counts(n_units: int, draws: int, *, rng: np.random.Generator) -> Values
     return rng.multinomial(n_units, np.full(n_units, 1 / n_units), size=draws).astype(np.float64)
 
 
-def correlate_draws(
-    items: Items, method: str, *, participants: Values, recordings: Values
-) -> Values:
-    """Correlate item means with every metric in every draw: (n_metrics, draws).
-
-    participants: (draws, n_participants); recordings: (draws, n_recordings). NaN where a draw leaves the metric or
-    the means constant, or fewer than three different items.
-    """
-    averages = Averages.of(items, participants)
-    return averages.correlate(items, METHODS[method], counts=(recordings,))[0]
-
-
 class Averages(NamedTuple):
     """Mean ratings of every item, and whether there are any: (draws, n_items)."""
 
@@ -192,43 +180,45 @@ class Averages(NamedTuple):
 
     @classmethod
     def of(cls, items: Items, participants: Values) -> Averages:
-        """Average each item's ratings over the participants drawn."""
+        """Average each item's ratings over the participants drawn, (draws, n_participants)."""
         seen = np.isfinite(items.ratings)
         votes = participants @ seen.astype(np.float64)
         sums = participants @ np.where(seen, items.ratings, 0.0)
         return cls(np.divide(sums, votes, out=np.zeros_like(sums), where=votes > 0), votes > 0)
 
-    def tie_rounded(self) -> Averages:
-        """Make means that differ by rounding error only the same; whole numbers, of use for their order only."""
+    def order(self, how: CorrelationMethod) -> Values:
+        """Give the means; for ranks as whole numbers, so that those that differ by rounding error only are tied."""
+        if not how.ranked:
+            return self.means
         exponent = np.frexp(np.abs(self.means).max(axis=-1, keepdims=True))[1]
-        return self._replace(means=np.rint(np.ldexp(self.means, TIED - exponent)))
+        whole: Values = np.rint(np.ldexp(self.means, TIED - exponent))
+        return whole
 
     def correlate(
         self, items: Items, how: CorrelationMethod, *, counts: Sequence[Values]
     ) -> list[Values]:
-        """Correlate with every metric, (n_metrics, draws); counts: ways of counting recordings, (draws, n)."""
+        """Correlate with every metric, (n_metrics, draws); counts: ways of counting recordings, (draws, n).
+
+        NaN where a draw leaves the metric or the means constant, or fewer than three different items.
+        """
         if how.within:
             parts = [self.correlate_recordings(items, metric, how) for metric in items.metrics]
             return [
                 np.array([average_recordings(*part, counts=one) for part in parts])
                 for one in counts
             ]
-        means = self.tie_rounded().means if how.ranked else self.means
         weights = np.stack([one[:, items.recordings] * self.rated for one in counts])
-        found = np.array([
-            how.correlation(metric, means, weights=weights) for metric in items.metrics
-        ])
-        few = (weights > 0).sum(axis=-1) < FEWEST_ITEMS
-        return list(np.where(few, np.nan, found).swapaxes(0, 1))
+        means, few = self.order(how), (weights > 0).sum(axis=-1) < FEWEST_ITEMS
+        found = [how.correlation(metric, means, weights=weights) for metric in items.metrics]
+        return list(np.where(few, np.nan, np.array(found)).swapaxes(0, 1))
 
     def correlate_recordings(
         self, items: Items, metric: Values, how: CorrelationMethod
     ) -> tuple[Values, Values]:
         """Correlate within each recording; also count the items that did: both of shape (draws, n_recordings)."""
-        means = self.tie_rounded().means if how.ranked else self.means
+        means, n_items = self.order(how), np.bincount(items.recordings)
         found = np.empty((len(means), items.n_recordings))
-        sizes, n_items = np.empty_like(found), np.bincount(items.recordings)
-        order = np.argsort(items.recordings, kind="stable")
+        sizes, order = np.empty_like(found), np.argsort(items.recordings, kind="stable")
         # Recordings of as many items are one array.
         for n_each in np.unique(n_items):
             places = np.flatnonzero(n_items == n_each)
@@ -242,8 +232,6 @@ class Averages(NamedTuple):
 def average_recordings(correlations: Values, sizes: Values, *, counts: Values) -> Values:
     """Average the correlations of recordings, all (draws, n_recordings), over Fisher's z; NaN does not count.
 
-    Notes
-    -----
     A perfect correlation has no z, yet among few items one by ranks is common and must neither be left out nor
     outweigh all others. One of n items counts as 1 - 6 / (n (n² - 1)), half way to the next lower correlation of ranks.
     """
@@ -268,12 +256,8 @@ def bootstrap_margin(drawn: Values, n_units: int) -> float:
     """Half width of the 95 % interval of a statistic, from its bootstrap draws, (draws,).
 
     NaN if there is one unit only, more than a tenth of the draws are undefined (NaN), or all draws are the same, as
-    ranks may be: that is no sign of certainty.
-
-    Notes
-    -----
-    Resampling U units understates a variance by (U - 1) / U and knows it on U - 1 degrees of freedom only;
-    with the eight or so recordings of a study both matter.
+    ranks may be: that is no sign of certainty. Resampling U units understates a variance by (U - 1) / U
+    and knows it on U - 1 degrees of freedom only; with the eight or so recordings of a study both matter.
     """
     from scipy.stats import t
 
@@ -301,8 +285,10 @@ def draw_methods(
     items: Items, methods: Iterable[str], *, draws: int, rng: np.random.Generator
 ) -> dict[str, Draws]:
     """Draw participants and recordings with replacement, and correlate by several methods in the same draws."""
+    whole = Averages.of(items, np.ones((1, items.n_participants)))
+    every, result = np.ones((1, items.n_recordings)), dict[str, Draws]()
+    blocks: dict[str, list[Values]] = {method: [] for method in methods}
     block = max(1, BLOCK // max(items.n_participants, items.n_items))
-    blocks: dict[str, list[list[Values]]] = {method: [] for method in methods}
     for start in range(0, draws, block):
         size = min(block, draws - start)
         # Participants are drawn first and recordings second, so that both intervals share the same participants.
@@ -311,16 +297,17 @@ def draw_methods(
         scenes = draw_counts(items.n_sources, size, rng=rng)[:, items.of_source]
         for method, found in blocks.items():
             counts = (scenes, np.ones_like(scenes))
-            drawn = averages.correlate(items, METHODS[method], counts=counts)
-            found.append([fisher_z(one) for one in drawn])
-    whole, result = Averages.of(items, np.ones((1, items.n_participants))), {}
+            found.append(
+                fisher_z(np.stack(averages.correlate(items, METHODS[method], counts=counts)))
+            )
     for method, found in blocks.items():
         how, each = METHODS[method], np.empty((len(items.metrics), 0))
-        (point,) = whole.correlate(items, how, counts=(np.ones((1, items.n_recordings)),))
+        (point,) = whole.correlate(items, how, counts=(every,))
         if how.within:
-            parts = [whole.correlate_recordings(items, row, how)[0] for row in items.metrics]
-            each = np.concatenate(parts)
-        two_way, people = (np.concatenate(part, axis=1) for part in zip(*found, strict=True))
+            each = np.concatenate([
+                whole.correlate_recordings(items, row, how)[0] for row in items.metrics
+            ])
+        two_way, people = np.concatenate(found, axis=-1)
         result[method] = Draws(point[:, 0], two_way, people, each)
     return result
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from feel321.analysis.arrays import CONFIDENCE, FLAT, Values, read_array, read_numbers
 from feel321.analysis.resampling import draw_counts
-from feel321.analysis.table.items import Table, is_tidy, open_ratings
+from feel321.analysis.table.items import Table, open_ratings
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import PAIRED
 from feel321.doors import as_rng
@@ -40,59 +40,17 @@ ROUGH, FINE = (300, 1e-6), (1000, 1e-9)  # Steps at most, and the change of stre
 
 
 def fit_space(
-    dissimilarities: Table | ArrayLike, *, dimensions: int = 2, draws: int = 0, rng: Rng = 0
+    dissimilarities: ArrayLike, *, dimensions: int = 2, draws: int = 0, rng: Rng = 0
 ) -> Statistic:
-    """Place stimuli so that distances agree with dissimilarities.
+    """Place stimuli so that distances agree with dissimilarities: of one person, or averaged over a group.
 
-    Parameters
-    ----------
-    dissimilarities : Table, DataFrame or array_like, shape (stimuli, stimuli) or (participants, stimuli, stimuli)
-        Ratings of the scale ``dissimilarity``, for a map of reducers; or one person's matrix for an individual map, or
-        a stack of them, which is averaged for the group's map.
-    dimensions : int
-        Of the map, 1 to stimuli - 1.
-    draws : int
-        Bootstrap draws of participants for 95 % ellipses on a map of two dimensions, 3 or more; 0 for none.
-    rng : int or Generator
-        Seed, or source, of the random starts and draws.
-
-    Returns
-    -------
-    Statistic
-        ``table``, a row per stimulus: its name or number, and its position along each axis; ``positions``, (n_stimuli,
-        n_dimensions), in the unit of the dissimilarities; ``stress``, Kruskal's stress-1: 0 fits perfectly, .05 well,
-        .1 fairly, .2 poorly; ``names``; ``ellipses`` (with draws): ``half_axes``, (n_stimuli, 2), the longer first,
-        ``angle`` of the longer axis against the first dimension, in degrees, ``draws n_participants``.
-
-    Notes
-    -----
-    SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs. Stress-1 = √(Σ (δ - d)² / Σ d²). Averaging assumes that
-    people share one map.
-
-    For ellipses, every draw of participants is scaled anew, from the group's map on, and aligned with it by Procrustes'
-    rotation; what is left is the positions' covariance C. The ellipse is {x: (x - m)ᵀ C⁻¹ (x - m) <= χ²(.95, 2) P /
-    (P - 1)} for P participants. Fitting to the group removes some of the movement: with few stimuli ellipses are
-    somewhat small. Pairs that nobody in a draw has rated keep the group's mean.
-
-    References
-    ----------
-    Borg & Groenen (2005), doi 10.1007/0-387-28981-X; Kruskal (1964), doi 10.1007/BF02289565.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from feel321 import analysis
-    >>> square = np.array([[0, 0], [0, 1], [1, 1], [1, 0]])
-    >>> distances = np.sqrt(((square[:, None] - square) ** 2).sum(axis=-1))
-    >>> analysis.fit_space(distances).stress < 1e-3
-    True
+    Gives ``positions``, (n_stimuli, n_dimensions), in the unit of the dissimilarities; ``stress``, Kruskal's stress-1 =
+    √(Σ (δ - d)² / Σ d²): 0 fits perfectly, .05 well, .1 fairly, .2 poorly; with draws of participants, of a map of two
+    dimensions, ``ellipses``: see `_draw_ellipses`. SMACOF (scikit-learn) minimises Σ (δ_ij - d_ij)² over pairs.
+    Averaging assumes that people share one map. Borg & Groenen (2005), doi 10.1007/0-387-28981-X; Kruskal (1964), doi
+    10.1007/BF02289565.
     """
-    from pandas import DataFrame
-
-    rng, names = as_rng(rng), tuple[str, ...]()
-    if is_tidy(dissimilarities):
-        names, dissimilarities = gather_dissimilarities(dissimilarities)
-    target = check_dissimilarities(dissimilarities)
+    target, rng = check_dissimilarities(dissimilarities), as_rng(rng)
     if not 1 <= dimensions < len(target):
         most = len(target) - 1
         raise ValueError(f"dimensions must be 1 to {most} for {most + 1} stimuli, got {dimensions}")
@@ -107,19 +65,21 @@ def fit_space(
     turned: Values = centred @ np.linalg.svd(centred, full_matrices=False)[2].T
     strongest = turned[np.abs(turned).argmax(axis=0), np.arange(dimensions)]
     places = turned * np.where(strongest < 0, -1.0, 1.0)
-    axes = [f"axis_{number}" for number in range(1, dimensions + 1)]
-    table = DataFrame(places, columns=axes)
-    table.insert(0, "stimulus", list(names or range(len(table))))
     ellipses = _draw_ellipses(dissimilarities, places, draws=draws, rng=rng) if draws else None
-    return Statistic(
-        "Space", table=table, positions=places, stress=stress, names=names, ellipses=ellipses
-    )
+    return Statistic("Space", positions=places, stress=stress, ellipses=ellipses)
 
 
 def _draw_ellipses(
     dissimilarities: object, places: Values, *, draws: int, rng: np.random.Generator
 ) -> Statistic:
-    """Draw participants anew and see how far each stimulus moves on the group's map of two dimensions."""
+    """Draw participants anew and see how far each stimulus moves on the group's map of two dimensions.
+
+    ``half_axes``, (n_stimuli, 2), the longer first, and ``angle`` of the longer axis against the first dimension, in
+    degrees. Every draw is scaled anew, from the group's map on, and aligned with it by Procrustes' rotation; what is
+    left is the positions' covariance C. The 95 % ellipse is {x: (x - m)ᵀ C⁻¹ (x - m) <= χ²(.95, 2) P / (P - 1)} for P
+    participants. Fitting to the group removes some of the movement: with few stimuli ellipses are somewhat small. Pairs
+    that nobody in a draw has rated keep the group's mean.
+    """
     from scipy.stats import chi2
 
     stack = read_numbers(dissimilarities, what="dissimilarities")
@@ -231,13 +191,9 @@ def _scale(target: Values, start: Values, steps: tuple[int, float]) -> tuple[Val
 
 
 def align_spaces(
-    positions: Statistic | ArrayLike,
-    reference: Statistic | ArrayLike,
-    *,
-    permutations: int = 2000,
-    rng: Rng = 0,
+    positions: ArrayLike, reference: ArrayLike, *, permutations: int = 2000, rng: Rng = 0
 ) -> Statistic:
-    """Compare a map with a physical configuration of the same stimuli, both (stimuli, dimensions) or maps.
+    """Compare a map with a physical configuration of the same stimuli, both (stimuli, dimensions).
 
     Gives ``disparity``, Procrustes' m² = 1 - (Σ σ)², σ the singular values of AᵀB, both centred and of unit size: the
     share of the reference's variance not met; ``correlation`` √(1 - m²); ``p``, the share of random pairings of stimuli
@@ -263,9 +219,8 @@ def align_spaces(
     )  # fmt: skip
 
 
-def _check_positions(given: Statistic | ArrayLike, name: str) -> Values:
-    positions = given.positions if isinstance(given, Statistic) else given
-    place = read_array(positions, what=name, axes=("stimuli", "dimensions"))
+def _check_positions(given: ArrayLike, name: str) -> Values:
+    place = read_array(given, what=name, axes=("stimuli", "dimensions"))
     if len(place) < FEWEST:
         raise ValueError(f"{name} must be of 3 stimuli or more, got shape {place.shape}")
     if ((place - place.mean(axis=0)) ** 2).sum() <= FLAT * (place**2).sum():

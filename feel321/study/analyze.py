@@ -20,7 +20,6 @@ from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.metrics import ROTATIONS, make_info
 from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
-from feel321.doors import announce
 from feel321.files import write_text
 from feel321.names import MATCHES
 from feel321.stimuli.condition import condition
@@ -134,7 +133,6 @@ def _derive_tables(
     study: StudyFolder, settings: Settings, metrics: Sequence[str]
 ) -> tuple[Further, str]:
     """Derive all tables of the study's own journals; returns what else is known of its stimuli, and the last day."""
-    announce("ratings from the journals")
     everybody = list_progress(study)
     write_roster(study, everybody)
     _require_ratings(study)
@@ -147,7 +145,6 @@ def _derive_tables(
     groups = rows["column"].isin(settings.between) & (rows["meaning"] == "")
     rows.loc[groups, "meaning"] = "group of the participant, a factor of [between]"
     write_text(study.path / DICTIONARY, rows.to_csv(index=False, lineterminator="\n"))
-    announce("metrics over orientations of the sensor")
     further = measure_rotations(study, settings, stimuli, metrics=metrics)
     methods = [f"{name} {digest}" for name, digest in find_methods(study.stimuli).items()]
     said = "Reducers and metrics of the lab's own, with the SHA-256 of their code"

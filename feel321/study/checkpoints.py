@@ -15,7 +15,6 @@ import re
 import socket
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -47,16 +46,14 @@ COVERED = (
 """Covered besides plans, journals and tombstones. Personal answers are not: a digest of so little would tell them."""
 
 
-@dataclass(frozen=True, slots=True)
-class FileMark:
+class FileMark(NamedTuple):
     """By what a file is known again; of a journal, by its whole lines."""
 
     size: int
     sha256: str
 
 
-@dataclass(frozen=True, slots=True)
-class Checkpoint:
+class Checkpoint(NamedTuple):
     """A commit; by, who: its occasion, such as `session`, `p07`; begins: this was about to begin."""
 
     id: str
@@ -103,27 +100,7 @@ def read_lines(path: Path) -> bytes:
     return content[: content.rfind(b"\n") + 1].replace(b"\r\n", b"\n")
 
 
-def list_lost(before: Mapping[str, FileMark], now: Mapping[str, FileMark]) -> list[str]:
-    """List the sessions that were there and are not, or not to their end; withdrawn participants have lost none."""
-    lost = []
-    for name in filter(is_journal, sorted(before)):
-        who, session = name.split("/")[1], int(name[-8:-6])
-        size = now[name].size if name in now else 0
-        if size < before[name].size and f"sessions/{who}/{TOMBSTONE_FILE}" not in {*before, *now}:
-            lost.append(f"{'the end of ' if size else ''}session {session} of {who}")
-    return lost
-
-
 # The repository. `Any` stands for dulwich's own types of repositories and names.
-
-
-def _name_branch(study: StudyFolder, repo: Any) -> str:  # noqa: ANN401
-    """Name the branch of this copy of a study: after computer and folder, and since when it was restored."""
-    host = socket.gethostname()
-    place = digest(f"{host}:{study.path.absolute()}")[:8]
-    name = f"{re.sub('[^A-Za-z0-9]+', '-', host).strip('-') or 'computer'}-{place}"
-    head = repo.refs.follow(b"HEAD")[0][-1].removeprefix(HEADS).decode()
-    return head if head.startswith(f"{name}-restored-") else name
 
 
 @contextmanager
@@ -135,7 +112,8 @@ def _opening(study: StudyFolder) -> Iterator[Any]:
     home = study.path / EVIDENCE
     try:
         with FileLock(home.with_name(f"{EVIDENCE}.lock"), timeout=LOCK_S):
-            _make_repository(home)
+            if not home.is_dir():
+                _make_repository(home)
             for left in home.rglob("*.lock"):  # by a process that was killed
                 left.unlink()
             with Repo(home) as repo:
@@ -148,11 +126,9 @@ def _opening(study: StudyFolder) -> Iterator[Any]:
 
 
 def _make_repository(home: Path) -> None:
-    """Make it where there is none; a kill leaves no half of one."""
+    """Make it; a kill leaves no half of one."""
     from dulwich.repo import Repo
 
-    if home.is_dir():
-        return
     with temporary_folder(beside=home) as made:
         Repo.init_bare(made).close()
         made.rename(home)
@@ -162,6 +138,30 @@ def _make_repository(home: Path) -> None:
 
 def _describe_damage(home: Path, error: Exception) -> str:
     return f"{home}: cannot be read ({type(error).__name__}: {error}); restore it from a remote"
+
+
+def read_own(study: StudyFolder) -> Own:
+    """Read the repository in the folder."""
+    from dulwich.repo import Repo
+
+    home, own = study.path / EVIDENCE, Own([], {}, "", "")
+    if not home.is_dir():
+        return own
+    host = socket.gethostname()
+    place = digest(f"{host}:{study.path.absolute()}")[:8]
+    name = f"{re.sub('[^A-Za-z0-9]+', '-', host).strip('-') or 'computer'}-{place}"
+    try:
+        with Repo(home) as repo:
+            head = repo.refs.follow(b"HEAD")[0][-1].removeprefix(HEADS).decode()  # type: ignore[arg-type]
+            own = own._replace(branch=head if head.startswith(f"{name}-restored-") else name)
+            config = repo.get_config()
+            for section in (one for one in config.sections() if one[0] == b"remote"):
+                refs = repo.refs.subkeys(b"refs/remotes/" + section[1])  # type: ignore[arg-type]
+                own.pushed[config.get(section, b"url").decode()] = {ref.decode() for ref in refs}
+            tip = repo.refs.as_dict().get(b"HEAD")  # type: ignore[call-overload]
+            return own._replace(history=_read_history(repo, tip))
+    except Exception as error:  # noqa: BLE001 - what is damaged raises anything
+        return own._replace(problem=_describe_damage(home, error))
 
 
 def _read_history(repo: Any, tip: Any) -> list[Checkpoint]:  # noqa: ANN401
@@ -187,35 +187,10 @@ def _read_history(repo: Any, tip: Any) -> list[Checkpoint]:  # noqa: ANN401
     return history[::-1]
 
 
-def read_own(study: StudyFolder) -> Own:
-    """Read the repository in the folder."""
-    from dulwich.repo import Repo
-
-    home, own = study.path / EVIDENCE, Own([], {}, "", "")
-    if not home.is_dir():
-        return own
-    try:
-        with Repo(home) as repo:
-            own = own._replace(branch=_name_branch(study, repo))
-            for url, name in _list_remotes(repo).items():
-                refs = repo.refs.subkeys(b"refs/remotes/" + name)  # type: ignore[arg-type]
-                own.pushed[url] = {ref.decode() for ref in refs}
-            tip = repo.refs.as_dict().get(b"HEAD")  # type: ignore[call-overload]
-            return own._replace(history=_read_history(repo, tip))
-    except Exception as error:  # noqa: BLE001 - what is damaged raises anything
-        return own._replace(problem=_describe_damage(home, error))
-
-
 def find_newest(study: StudyFolder, by: str = "", who: str = "") -> Checkpoint | None:
     """Find the newest checkpoint in the folder, of one occasion if it is named."""
     every = read_own(study).history[::-1]
     return next((one for one in every if not by or (one.by, one.who) == (by, who)), None)
-
-
-def _list_remotes(repo: Any) -> dict[str, bytes]:  # noqa: ANN401
-    config = repo.get_config()
-    names = [section[1] for section in config.sections() if section[0] == b"remote"]
-    return {config.get((b"remote", name), b"url").decode(): name for name in names}
 
 
 def take_checkpoint(
@@ -229,12 +204,12 @@ def take_checkpoint(
     remote = remote and _prepare_remote(remote, study)
     ahead = _find_ahead(read_own(study)) if reason else []
     with _opening(study) as repo:
-        moment = now()
-        if (own := read_own(study)).problem:
+        moment, own, marks = now(), read_own(study), take_marks(study)
+        if own.problem:
             raise ValueError(own.problem)
-        branch, marks = _name_branch(study, repo), take_marks(study)
+        branch = own.branch
         if ahead:
-            lost = "; ".join(list_lost(ahead[-1].marks, marks)) or "no session"
+            lost = "; ".join(_list_lost(ahead[-1].marks, marks)) or "no session"
             by, reason = "restored", f"{reason} (restored, lost: {lost})"
             branch = f"{branch.partition('-restored-')[0]}-restored-{ahead[-1].id[:8]}"
         message = "\n\n".join(filter(None, [f"{by} {who}".strip(), reason]))
@@ -254,6 +229,15 @@ def _find_ahead(own: Own) -> list[Checkpoint]:
             if theirs and theirs[-1].id not in known:
                 return theirs
     return []
+
+
+def _list_lost(before: Mapping[str, FileMark], now: Mapping[str, FileMark]) -> Iterator[str]:
+    """List the sessions that were there and are not, or not to their end; withdrawn participants have lost none."""
+    for name in filter(is_journal, sorted(before)):
+        who, session = name.split("/")[1], int(name[-8:-6])
+        size = now[name].size if name in now else 0
+        if size < before[name].size and f"sessions/{who}/{TOMBSTONE_FILE}" not in {*before, *now}:
+            yield f"{'the end of ' if size else ''}session {session} of {who}"
 
 
 def _commit(
@@ -338,8 +322,7 @@ def _push_all(repo: Any, own: Own, branch: str, *, new: str) -> dict[str, str]: 
             continue
         problems[url] = ""
         if branch not in there:
-            remotes, config = _list_remotes(repo), repo.get_config()
-            name = remotes.get(url, b"remote%d" % (len(remotes) + 1))
+            name, config = digest(url)[:12].encode(), repo.get_config()
             config.set((b"remote", name), b"url", url.encode())
             config.write_to_path()
             repo.refs[b"refs/remotes/" + name + b"/" + branch.encode()] = tip
@@ -381,14 +364,14 @@ def fetch_branches(url: str, known: Sequence[Checkpoint]) -> dict[str, list[Chec
 
     ends = {one.id.encode(): number for number, one in enumerate(known, start=1)}
 
-    def choose(refs: Mapping[bytes, bytes], *_: object, **__: object) -> list[bytes]:
-        return [tip for ref, tip in refs.items() if ref.startswith(HEADS) and tip not in ends]
-
     def fetch() -> dict[str, list[Checkpoint]]:
-        repo = MemoryRepo()
+        repo, found = MemoryRepo(), dict[str, list[Checkpoint]]()
         client, path = _find_client(url)
+
+        def choose(refs: Mapping[bytes, bytes], *_: object, **__: object) -> list[bytes]:
+            return [tip for ref, tip in refs.items() if ref.startswith(HEADS) and tip not in ends]
+
         refs = client.fetch(path, repo, determine_wants=choose).refs
-        found = {}
         for ref in filter(lambda ref: ref.startswith(HEADS), refs):
             tip, branch = refs[ref], ref.removeprefix(HEADS).decode()
             with suppress(KeyError, ValueError):  # what is not ours

@@ -12,11 +12,9 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from pathlib import Path
 from textwrap import wrap
-from time import monotonic
 from typing import NoReturn
 
 from cyclopts import App, Argument, CycloptsError, Parameter, UnusedCliTokensError
@@ -24,37 +22,20 @@ from cyclopts.annotations import resolve_optional
 from cyclopts.exceptions import MissingArgumentError
 
 from feel321 import __version__, intake
-from feel321.doors import announcing, clean_text
-from feel321.study.commands import shared
+from feel321.doors import clean_text
 from feel321.study.folder import UsageError
+from feel321.study.terminal import CALL, Call, cap, echo, warn
+from feel321.study.verbs import GROUPS, make_verb
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
-GROUPS = {
-    "Design": ("new", "check", "build", "power", "freeze", "tradeoff"),
-    "Lab": ("calibrate", "doctor", "run", "simulate", "status", "note", "collect", "withdraw"),
-    "Results": ("analyze", "audit", "seal", "export"),
-    "Signals": ("reduce", "match"),
-    "Example": ("demo",),
-}
-"""Group of the help -> its verbs."""
-
-HOMES = {
-    "study": ("new", "check", "build", "power", "freeze", "demo", *GROUPS["Results"]),
-    "lab": GROUPS["Lab"],
-    "signals": ("reduce", "match", "tradeoff"),
-}
-"""Module of `feel321.study.commands` -> the verbs that it holds."""
-
 VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 
-RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
+RESUMED = {"collect", "demo", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 LONGEST = 1000  # letters of a line of an error
-SWITCHES = {
-    "-q": "quiet", "--quiet": "quiet", "-v": "verbose", "--verbose": "verbose", "--traceback": "traceback",
-}  # fmt: skip
+SWITCHES = {"-q": "quiet", "--quiet": "quiet", "--traceback": "traceback"}
 """Switches that every verb has, in any place."""
 
 APP = App(
@@ -67,11 +48,8 @@ APP = App(
     print_error=False,
     suppress_keyboard_interrupt=False,
 )
-"""The verbs; the module of each is imported when it is called."""
-
-for _module, _verbs in HOMES.items():
-    for _verb in _verbs:
-        APP.command(f"feel321.study.commands.{_module}:{_verb}", name=_verb)
+for _verb in VERBS:
+    APP.command(make_verb(_verb), name=_verb)
 APP.register_install_completion_command(show=False)
 
 
@@ -106,25 +84,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     end = given.index("--") if "--" in given else len(given)
     switches = {SWITCHES[word]: True for word in given[:end] if word in SWITCHES}
     words = ["--help" if word == "-h" else word for word in given[:end] if word not in SWITCHES]
-    call, begun = shared.Call((*words, *given[end:]), **switches), monotonic()
-
-    def log(text: str) -> None:
-        shared.echo(f"feel321: {monotonic() - begun:.1f} s: {text}", err=True)
-
-    token = shared.CALL.set(call)
+    call = Call((*words, *given[end:]), **switches)
+    token = CALL.set(call)
     try:
-        with heed_signals(), announcing(log if call.verbose else str):
+        with heed_signals(), warnings.catch_warnings():
+            warnings.showwarning = lambda message, *_, **__: warn(str(message))
             return _run_verb(call)
     finally:
-        shared.CALL.reset(token)
+        CALL.reset(token)
 
 
-def _run_verb(call: shared.Call) -> int:
+def _run_verb(call: Call) -> int:
     verb = call.words[0] if call.words else ""
     try:
-        with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: shared.warn(str(message))
-            return _call(call.words)
+        return _call(call.words)
     except (CycloptsError, UsageError) as error:
         return _complain(_hint(error, verb), code=WRONG_USE)
     except KeyboardInterrupt as stop:
@@ -144,13 +117,13 @@ def _run_verb(call: shared.Call) -> int:
 
 def _call(words: Sequence[str]) -> int:
     if not words:
-        shared.refuse_use("Missing command")
+        raise UsageError("Missing command")
     if words[0] == "--version":
-        shared.echo(f"feel321, version {__version__}")
+        echo(f"feel321, version {__version__}")
     elif words[0] == "--help":
-        shared.echo(describe_program())
+        echo(describe_program())
     elif words[0] in VERBS and "--help" in words:
-        shared.echo(describe_verb(words[0]))
+        echo(describe_verb(words[0]))
     else:
         return int(APP(words) or DONE)
     return DONE
@@ -187,48 +160,34 @@ def _describe(error: Exception) -> str:
 
 
 def _complain(message: str, *, code: int) -> int:
-    for line in shared.cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
-        shared.echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
+    for line in cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
+        echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
     return code
 
 
-# The help, in plain text, from the verbs' type hints and docstrings.
+# The help, in plain text.
 
 ABOUT = (
     "Find out whether match metrics of three-to-one vibration reduction predict what people feel."
 )
 COLUMN, NARROWEST, WIDEST = 34, 40, 100
 
-EVERYWHERE = (
-    ("-q, --quiet", "Only results and errors."),
-    ("-v, --verbose", "Print each step as it begins."),
-    ("-h, --help", "Show this text."),
-)
+EVERYWHERE = (("-q, --quiet", "Only results and errors."), ("-h, --help", "Show this text."))
 """Options of every verb."""
 
-KINDS = {int: "N", float: "NUMBER", str: "TEXT", Path: "PATH", bool: ""}
+KINDS = {int: "N", float: "NUMBER", str: "TEXT", bool: ""}
 """Type of an option -> what stands behind its name."""
 
 
-def find_verb(name: str) -> Callable[..., object]:
-    """Find the function that does what a verb says."""
-    if (verb := APP[name].default_command) is None:
-        raise KeyError(name)
-    return verb
-
-
-def read_doc(name: str) -> str:
+def read_doc(verb: str) -> str:
     """Read what the docstring of a verb says before its parameters."""
-    return (inspect.getdoc(find_verb(name)) or "").partition("\n\nParameters\n")[0]
+    return (inspect.getdoc(APP[verb].default_command) or "").partition("\n\nParameters\n")[0]
 
 
 def describe_program() -> str:
     """Describe the program: its verbs by group."""
-    options = [
-        ("--version", "Show the version."),
-        ("--install-completion", "Let this shell complete verbs and options."),
-        *EVERYWHERE,
-    ]
+    completion = ("--install-completion", "Let this shell complete verbs and options.")
+    options = [("--version", "Show the version."), completion, *EVERYWHERE]
     lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(ABOUT)]
     lines += ["", "Options:", *_lay_rows(options)]
     for title, verbs in GROUPS.items():
@@ -237,10 +196,10 @@ def describe_program() -> str:
     return "\n".join([*lines, "", "  Begin with: feel321 demo"])
 
 
-def describe_verb(name: str) -> str:
+def describe_verb(verb: str) -> str:
     """Describe a verb: what it does, its arguments and options, and an example."""
-    *paragraphs, examples = read_doc(name).split("\n\n")
-    found = APP[name].assemble_argument_collection(parse_docstring=True)
+    *paragraphs, examples = read_doc(verb).split("\n\n")
+    found = APP[verb].assemble_argument_collection(parse_docstring=True)
     places, rows = [], []
     for one in (one for one in found if one.parse and not one.children):
         if one.name.startswith("-"):
@@ -248,7 +207,7 @@ def describe_verb(name: str) -> str:
         else:
             is_several = one.field_info.kind is one.field_info.VAR_POSITIONAL
             places.append(one.name if is_several or one.required else f"[{one.name}]")
-    lines = [f"Usage: feel321 {name} {' '.join([*places, '[OPTIONS]'])}"]
+    lines = [f"Usage: feel321 {verb} {' '.join([*places, '[OPTIONS]'])}"]
     for paragraph in paragraphs:
         lines += ["", *_fill(paragraph)]
     lines += ["", "Options:", *_lay_rows([*rows, *EVERYWHERE])]

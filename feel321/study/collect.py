@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from feel321.doors import announce
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import people
@@ -60,7 +59,7 @@ def collect_sessions(
     sources: Sequence[Path],
     *,
     now: Clock,
-    follow: Callable[[int, int], None] = lambda _done, _total: None,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Collected:
     """Collect the sessions of other stations' study folders into a study."""
     others = [require_study(path) for path in dict.fromkeys(path.resolve() for path in sources)]
@@ -84,9 +83,8 @@ def collect_sessions(
     busy = "sessions are being collected here; let that finish"
     with hold_lock(study.sessions / COLLECT_LOCK, busy=busy):
         for done, there in enumerate(everybody, start=1):
-            announce(there.name)
             _collect_one(study, there, collected, stimuli_sha256=stimuli_sha256, now=now)
-            follow(done, len(everybody))
+            progress(done, len(everybody))
     return collected
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
-from dataclasses import dataclass, field
+import warnings
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
@@ -12,14 +14,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from feel321.doors import check_name
 from feel321.files import create_text, is_of_group, make_folder
 from feel321.records import Result
-from feel321.study.session.journal import PARTICIPANT_ID, list_journals
+from feel321.study.session.journal import PARTICIPANT_ID, Clock, list_journals, utc_now
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from pandas import DataFrame
 
     from feel321.study.session.plan import Dossier
+    from feel321.types import Progress
 
 Read = TypeVar("Read")
 
@@ -230,7 +233,54 @@ def read_template(bundled: str | None = None) -> str:
     return (BUNDLED / f"{bundled}.toml").read_text(encoding="utf-8")
 
 
-# Results of checking, auditing and sealing a study.
+@dataclass(frozen=True, slots=True, repr=False)
+class OpenStudy:
+    """The folder of a study, and how its verbs say what they do; see `Study`."""
+
+    folder: StudyFolder
+    progress: Progress = False
+    now: Clock = utc_now
+    warn: Callable[[str], None] | None = None
+
+    def choose(self, rehearsals: bool) -> StudyFolder:  # noqa: FBT001 - an option, passed on
+        """Choose sessions or rehearsals."""
+        return replace(self.folder, is_rehearsal=True) if rehearsals else self.folder
+
+    def say(self, message: str) -> None:
+        """Give a warning.
+
+        Parameters
+        ----------
+        message : str
+            In one line.
+        """
+        if self.warn is None:
+            warnings.warn(message, stacklevel=4)
+        else:
+            self.warn(message)
+
+
+# What verbs return.
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Outcome(Result):
+    """What a verb did: numbers, or the JSON file that holds them; lines for people; faults, or only that it failed."""
+
+    facts: Mapping[str, Any] | Path
+    lines: Sequence[str] = ()
+    faults: Sequence[str] = ()
+    failed: bool = False
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers."""
+        if isinstance(self.facts, Path):
+            return dict(json.loads(self.facts.read_text(encoding="utf-8")))
+        return dict(self.facts)
+
+    def summary(self) -> str:
+        """Write the lines."""
+        return "\n".join(self.lines)
 
 
 class Findings(Result):
@@ -249,13 +299,23 @@ class Findings(Result):
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Problems(Findings):
-    """What stands in the way of a study; what may not be meant; how strong stimuli are; remarks on recordings."""
+    """What stands in the way of a study; what may not be meant; how strong stimuli are; remarks on recordings.
+
+    subject: what was checked, if not the study.
+    """
 
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
+    subject: str = ""
+
+    def prefix(self, name: str) -> Problems:
+        """Put the name of a file before each line."""
+        kinds = self.problems, self.warnings, self.notes
+        problems, warnings, notes = (tuple(f"{name}: {line}" for line in kind) for kind in kinds)
+        return Problems(problems, warnings, notes, figures=self.figures)
 
     def __add__(self, other: Problems) -> Problems:
         """Put what was found in two parts of a study together."""

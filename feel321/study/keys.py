@@ -111,10 +111,13 @@ ACTIONS: Mapping[str, tuple[str, ...]] = {
 USUAL = KeysTable()
 
 
-def label_keys(keys: KeysTable, lines: Mapping[str, str]) -> dict[str, str]:
-    """Put a lab's own keys into the lines of a language that name a key, two spaces, and what it does."""
-    words = _list_words(lines)
-    labelled = dict(lines)
+def label_texts(
+    keys: KeysTable, lines: Mapping[str, str], prompts: Mapping[str, str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Put a lab's own keys into the lines of a language (a key, two spaces, what it does), and into its prompts."""
+    enter, space, escape = (lines[line].partition("  ")[0] for line in ("confirm", "stop", "pause"))
+    words = {"enter": enter, "space": space, "escape": escape.partition(" ")[0]}
+    labelled, said = dict(lines), dict(prompts)
     for line, actions in ACTIONS.items():
         before, _, does = lines[line].partition("  ")
         own = [keys.find_key(action) for action in actions]
@@ -122,32 +125,15 @@ def label_keys(keys: KeysTable, lines: Mapping[str, str]) -> dict[str, str]:
             twice = before.partition(" ")[2] if actions == ("pause",) else ""
             labels = " ".join(filter(None, [*(label_key(key, words) for key in own), twice]))
             labelled[line] = f"{labels}  {does}"
-    ends = [label_key(key, words) for key in (keys.play[0], keys.play[-1])]
-    feel = f"{label_key(keys.reference[0], words)} {'–'.join(dict.fromkeys(ends))}"
+    ends = dict.fromkeys(label_key(key, words) for key in (keys.play[0], keys.play[-1]))
+    feel = f"{label_key(keys.reference[0], words)} {'–'.join(ends)}"
     labelled["feel"] = f"{feel}  {lines['feel'].partition('  ')[2]}"
-    return labelled
-
-
-def label_prompts(
-    keys: KeysTable, prompts: Mapping[str, str], lines: Mapping[str, str]
-) -> dict[str, str]:
-    """Put a lab's own keys into sentences that name a key as the lines of the same language do."""
-    words = _list_words(lines)
-    labelled = dict(prompts)
     for action in ("next", "pause", "experimenter"):
-        usual, own = USUAL.find_key(action), keys.find_key(action)
-        if own != usual:
-            word, label = label_key(usual, words), label_key(own, words)
-            labelled = {name: text.replace(word, label) for name, text in labelled.items()}
-    return labelled
+        usual, now = (label_key(one.find_key(action), words) for one in (USUAL, keys))
+        said = {name: text.replace(usual, now) for name, text in said.items()}
+    return labelled, said
 
 
 def label_key(key: str, words: Mapping[str, str]) -> str:
     """Name a key as it stands on it; words: of a language, by key."""
     return words.get(key) or SIGNS.get(key) or key.capitalize()
-
-
-def _list_words(lines: Mapping[str, str]) -> dict[str, str]:
-    """List the words that a language has for keys."""
-    enter, space, escape = (lines[line].partition("  ")[0] for line in ("confirm", "stop", "pause"))
-    return {"enter": enter, "space": space, "escape": escape.partition(" ")[0]}

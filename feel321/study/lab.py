@@ -13,8 +13,9 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from importlib.util import find_spec
+from shlex import join
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from feel321.study.actuator.certificate import judge_certificates
 from feel321.study.actuator.rig import (
@@ -27,7 +28,7 @@ from feel321.study.actuator.rig import (
 )
 from feel321.study.checkpoints import note_checkpoint
 from feel321.study.folder import DELIVERED
-from feel321.study.keys import USUAL
+from feel321.study.keys import USUAL, label_key
 from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
 from feel321.study.observer.model import Casting, find_person, make_model
@@ -44,8 +45,11 @@ from feel321.study.sessions import (
 )
 from feel321.study.settings import read
 from feel321.study.strength import find_unfelt
+from feel321.study.terminal import CALL, echo, is_terminal
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from feel321.study.actuator.delivered import DeliveryCheck
     from feel321.study.actuator.output import Output
     from feel321.study.screen.input import Hand
@@ -54,6 +58,69 @@ if TYPE_CHECKING:
     from feel321.study.session.ports import Presenter
 
 INSTALL = "install it from feel321's source folder: pip install -c constraints.txt '.[rig]'"
+
+
+LINE = 60  # characters of the line that says what is left; it is overwritten by the next
+
+
+class SessionLog:
+    """Prints how far a session is, and, where something ends it, how to resume it."""
+
+    def __init__(self, participant: str, rig: Path) -> None:
+        self._participant, self._rig = participant, rig
+        self._place: Place | None = None
+
+    def __enter__(self) -> Self:
+        """Begin."""
+        return self
+
+    def _count(self, place: Place) -> str:
+        """Count answered trials, and those that were given up apart from them."""
+        gone = f", {place.given_up} given up" if place.given_up else ""
+        return f"{self._participant}: {place.answered} of {place.total} answered{gone}"
+
+    def note(self, place: Place) -> None:
+        """Print where the session is now."""
+        done, begin = self._count(place), "\n" if is_terminal() else ""
+        if self._place is None:
+            echo(f"{done} so far")
+        self._place = place
+        who = f"{begin}{self._participant}"
+        if place.notice:
+            wrong = f"{who}: look after the rig in a break ({place.notice})"
+            echo(f"{wrong}; what the hand gets is within tolerance, trials count", err=True)
+        if place.fault:
+            key = label_key(read_rig(self._rig).keys.find_key("experimenter"), {})
+            failed = f"{who}: the device failed ({place.fault}); check it"
+            echo(f"{failed}, then press {key} in the participant's window", err=True)
+        elif is_terminal():
+            minutes = "" if place.left_s is None else f", about {place.left_s / 60:.0f} min left"
+            echo(f"{done + minutes:<{LINE}}", over=True, err=True)
+
+    def end(self, outcome: Place) -> None:
+        """Print how far the session came."""
+        if outcome.stopped:
+            self._resume(outcome.stopped)
+            return
+        self._end_line()
+        echo(self._count(outcome))
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Say how to resume what an error or Ctrl-C ended."""
+        if kind is not None:
+            self._resume(kind.__name__)
+
+    def _end_line(self) -> None:
+        if self._place is not None and is_terminal():
+            echo(err=True)
+
+    def _resume(self, reason: str) -> None:
+        self._end_line()
+        if self._place is not None:
+            # A change of the rig is accepted only once.
+            words = [word for word in CALL.get().words if word != "--accept-rig"]
+            done = f"{self._count(self._place)} (aborted: {reason})"
+            echo(f"{done}; resume with: {join(['feel321', *words])}", err=True)
 
 
 def run_participant(

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
     from feel321.study.session.plan import Plan
 
-LOCK_FILE = ".numbers.lock"
-
 PATIENCE_S = 60.0
 """How long others are waited for that plan sessions."""
 
@@ -48,6 +46,17 @@ class Holder:
     simulated: bool
     state: str = PLANNED
 
+    def keep(self, *, simulated: bool) -> int:
+        """Keep the number of someone who comes back."""
+        who = f"participant {self.participant}"
+        if self.state != PLANNED:
+            raise ValueError(f"{who}: was {self.state}; no code is used twice, use another")
+        if self.simulated != simulated:
+            got, known = ("simulated", "real") if simulated else ("real", "simulated")
+            text = f"was planned as a {known} one, got a {got} one; use another code"
+            raise ValueError(f"{who}: {text}")
+        return self.number
+
 
 class Station(NamedTuple):
     """The numbers that a station gives: of every `of` blocks the `this`-th, from 1; a block has one of each group."""
@@ -68,7 +77,10 @@ def read_holder(folder: Path) -> Holder | None:
     journals = list_journals(folder)
     if not (path.exists() or journals):
         return None
-    head = path.read_bytes()[:_HEAD_BYTES] if path.exists() else b""
+    head = b""
+    if path.exists():
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
     if not (found := _HEAD.search(head)):
         raise ValueError(
             f"{path}: is missing or damaged, so the participant's number is unknown; restore the file from a copy"
@@ -100,7 +112,7 @@ def find_doubles(holders: Iterable[Holder]) -> Iterator[str]:
 def hold_numbers(study: StudyFolder) -> AbstractContextManager[None]:
     """Keep all other processes from giving numbers in this study."""
     busy = "others are planning sessions here; try again"
-    return hold_lock(study.sessions / LOCK_FILE, busy=busy, wait_s=PATIENCE_S)
+    return hold_lock(study.sessions / ".numbers.lock", busy=busy, wait_s=PATIENCE_S)
 
 
 def plan_participants(
@@ -117,7 +129,7 @@ def plan_participants(
     folders = {folder.name: folder for folder in study.participants}
     own = {name: read_holder(folders[name]) if name in folders else None for name in names}
     if all(own.values()):
-        return [make(name, _keep(one, simulated=simulated)) for name, one in own.items() if one]
+        return [make(name, one.keep(simulated=simulated)) for name, one in own.items() if one]
     with hold_numbers(study):
         known = {one.participant: one for one in read_holders(study)}
         kept = [one for one in known.values() if one.state == PLANNED]
@@ -129,7 +141,7 @@ def plan_participants(
                 text = f"differs from {other} in capitals only; use another code"
                 raise ValueError(f"participant {name}: {text}")
         plans = [
-            make(name, _keep(known[name], simulated=simulated) if name in known else next(free))
+            make(name, known[name].keep(simulated=simulated) if name in known else next(free))
             for name in dict.fromkeys(names)
         ]
         for plan in (one for one in plans if one.participant not in known):
@@ -137,13 +149,3 @@ def plan_participants(
             make_folder(folder, private=True)
             create_plan(folder / PLAN_FILE, plan)
     return plans
-
-
-def _keep(holder: Holder, *, simulated: bool) -> int:
-    who = f"participant {holder.participant}"
-    if holder.state != PLANNED:
-        raise ValueError(f"{who}: was {holder.state}; no code is used twice, use another")
-    if holder.simulated != simulated:
-        got, known = ("simulated", "real") if simulated else ("real", "simulated")
-        raise ValueError(f"{who}: was planned as a {known} one, got a {got} one; use another code")
-    return holder.number

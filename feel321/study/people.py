@@ -9,12 +9,7 @@ from shlex import quote
 from typing import Any, TypeVar
 
 from feel321.files import write_table, write_text
-from feel321.study.folder import (
-    LAST_PARTICIPANT_COLUMNS,
-    PARTICIPANT_COLUMNS,
-    StudyFolder,
-    name_all,
-)
+from feel321.study import folder as folders
 from feel321.study.session import events
 from feel321.study.session import plan as plans
 from feel321.study.session.journal import Anchor, Records, digest
@@ -30,18 +25,11 @@ REMOVING, REMOVED = "removing", "removed"
 LOCK_FILE = ".lock"
 """Held while a session runs or a participant leaves."""
 
+LETTERS = 12
+"""Of a rig's digest, where it is shown."""
 
-@dataclass(frozen=True, slots=True)
-class Tombstone:
-    """What stays of a participant who withdrew: a code that is not used again, and digests of what was removed."""
-
-    participant: str
-    number: int
-    simulated: bool
-    utc: str
-    reason: str
-    journals: tuple[Anchor, ...]
-    state: str
+ESTIMATED = "latency"
+"""How an onset was got (`dac_source`) where the device gave no time of it: `actuator.device.FROM_LATENCY`."""
 
 
 def write_sealed(path: Path, entry: Mapping[str, Any], *, private: bool = False) -> str:
@@ -68,6 +56,19 @@ def read_sealed(path: Path, make: Callable[[dict[str, Any]], T]) -> T | None:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Tombstone:
+    """What stays of a participant who withdrew: a code that is not used again, and digests of what was removed."""
+
+    participant: str
+    number: int
+    simulated: bool
+    utc: str
+    reason: str
+    journals: tuple[Anchor, ...]
+    state: str
+
+
 def write_tombstone(folder: Path, tombstone: Tombstone) -> None:
     """Write a tombstone, replacing the one that is there."""
     write_sealed(folder / plans.TOMBSTONE_FILE, asdict(tombstone), private=True)
@@ -92,19 +93,11 @@ def find_leftovers(folder: Path) -> list[str]:
         return [f"{folder}: the withdrawal was interrupted; finish it: {again}"]
     kept = {folder / plans.TOMBSTONE_FILE, folder / LOCK_FILE}
     files = {path for path in folder.rglob("*") if path.is_symlink() or not path.is_dir()}
-    return [
-        f"{path}: lies beside a tombstone, the participant withdrew; remove it"
-        for path in sorted(files - kept)
-    ]
+    said = "lies beside a tombstone, the participant withdrew; remove it"
+    return [f"{path}: {said}" for path in sorted(files - kept)]
 
 
 # Progress and `participants.csv`.
-
-LETTERS = 12
-"""Of a rig's digest, where it is shown."""
-
-ESTIMATED = "latency"
-"""How an onset was got (`dac_source`) where the device gave no time of it: `actuator.device.FROM_LATENCY`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,9 +147,9 @@ class Progress:
         return self.answered + self.given_up
 
 
-def list_progress(study: StudyFolder) -> list[Progress]:
+def list_progress(study: folders.StudyFolder) -> list[Progress]:
     """Read the progress of all participants who have a plan or a journal and did not withdraw."""
-    return name_all(lambda folder: make_progress(study.read_person(folder)), study.planned)
+    return folders.name_all(lambda one: make_progress(study.read_person(one)), study.planned)
 
 
 def make_progress(dossier: plans.Dossier) -> Progress:
@@ -165,18 +158,17 @@ def make_progress(dossier: plans.Dossier) -> Progress:
     records = [record for chain in dossier.chains for record in chain.records]
     noted = [one for one in records if one.event == events.NoteTaken.event]
     times = [one.utc for one in records if one.event != events.NoteTaken.event]
-    rated = (one.utc for one in records if one.event == events.TrialRated.event)
     with plans.read_as_written(dossier.newest):
         agenda = plans.replay(plan, newest)
         pages = {page.key for page in newest.find(events.PageRead)}
+        trained = pages & {"training_failed", "training_passed"}
         total = sum(trial.phase == "main" for trial in plan.trials)
-        ends = [
-            kind for kind in (events.SessionReleased, events.SessionFinished) if newest.has(kind)
-        ]
-        begun = "running" if newest.find_header() else "claimed"
+        state = "running" if newest.find_header() else "claimed"
+        for end in (events.SessionFinished, events.SessionReleased):
+            state = end.event if newest.has(end) else state
         return Progress(
             participant=plan.participant,
-            state=ends[0].event if ends else begun,
+            state=state,
             number=plan.number,
             groups=plan.groups,
             answered=agenda.answered,
@@ -187,10 +179,10 @@ def make_progress(dossier: plans.Dossier) -> Progress:
             sessions=len(dossier.chains),
             first_activity=times[0] if times else "",
             last_activity=times[-1] if times else "",
-            last_rated=max(rated, default=""),
-            training_passed="training_failed" not in pages
-            if pages & {"training_failed", "training_passed"}
-            else None,
+            last_rated=max(
+                (one.utc for one in records if one.event == events.TrialRated.event), default=""
+            ),
+            training_passed="training_failed" not in trained if trained else None,
             thresholds=list_columns(read_thresholds(plan, newest)),
             notes=tuple(Note(one.utc, str(one.data.get("text", ""))) for one in noted),
             **_find_rig(newest),
@@ -206,12 +198,15 @@ def _find_rig(records: Records) -> dict[str, Any]:
     for event in records.find(events.RigAccepted):
         rig, calibration = event.rig, event.calibration
         changes += event.changes
-    played = (one for one in records if one.event == events.PartPlayed.event)
     return {
         "rig": _digest_rig(rig)[:LETTERS] if rig else "",
         "calibration": calibration["id"] if isinstance(calibration, dict) else calibration or "",
         "rig_changes": tuple(changes),
-        "estimated": sum(one.data.get("dac_source") == ESTIMATED for one in played),
+        "estimated": sum(
+            one.data.get("dac_source") == ESTIMATED
+            for one in records
+            if one.event == events.PartPlayed.event
+        ),
     }
 
 
@@ -232,13 +227,11 @@ def _digest_rig(rig: Mapping[str, Any]) -> str:
 def describe_rigs(everybody: Iterable[Progress]) -> Iterator[str]:
     """Describe who was on another rig or certificate than most, whose rig was changed, whose onsets are estimates."""
     used = [one for one in everybody if one.rig]
-    usual = Counter(one.rig for one in used).most_common(1)
-    same = [one for one in used if (one.rig in dict(usual))]
+    usual = Counter(one.rig for one in used).most_common(1)  # of several, the first is usual
+    same = [one for one in used if one.rig in dict(usual)]
     for what, name, people in (("rig", "rig", used), ("certificate", "calibration", same)):
         values = {one.participant: getattr(one, name) for one in people}
-        ranked = Counter(
-            values.values()
-        ).most_common()  # of several as frequent, the first is usual
+        ranked = Counter(values.values()).most_common()
         for odd, _ in sorted(ranked[1:]):
             who = ", ".join(one for one, value in values.items() if value == odd)
             others = f"the other {ranked[0][1]} ({ranked[0][0] or 'none'})"
@@ -263,7 +256,7 @@ def list_remarks(everybody: Iterable[Progress]) -> Iterator[str]:
             yield text.format(some)
 
 
-def write_roster(study: StudyFolder, everybody: Sequence[Progress] | None = None) -> Path:
+def write_roster(study: folders.StudyFolder, everybody: Sequence[Progress] | None = None) -> Path:
     """Write `participants.csv`: one row per participant, without those who withdrew."""
     everybody = list_progress(study) if everybody is None else everybody
     path = study.path / ROSTER_FILE
@@ -276,7 +269,7 @@ def list_roster(everybody: Sequence[Progress]) -> tuple[list[str], list[dict[str
     """List the columns and rows of `participants.csv`."""
     factors = dict.fromkeys(factor for one in everybody for factor in one.groups)
     measured = dict.fromkeys(name for one in everybody for name in one.thresholds)
-    columns = [*PARTICIPANT_COLUMNS, *factors, *LAST_PARTICIPANT_COLUMNS, *measured]
+    columns = [*folders.PARTICIPANT_COLUMNS, *factors, *folders.LAST_PARTICIPANT_COLUMNS, *measured]
     rows, flags = [], {True: "true", False: "false", None: ""}
     for one in everybody:
         row: dict[str, Any] = {name: getattr(one, name, "") for name in columns}

@@ -34,7 +34,7 @@ from feel321.analysis.table import reading
 from feel321.analysis.table.items import Part, Table, split_tests
 from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Further
-from feel321.analysis.words import ABSENT, format_name
+from feel321.analysis.words import format_name
 from feel321.doors import check_name
 from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
@@ -373,10 +373,8 @@ class StudyPower(results.PageResult):
         return {"designs": self.to_frame(), "planted": self.task.effects, "hypotheses": hypotheses}
 
     def summary(self) -> str:
-        """Write the answer, a line per hypothesis, and the notes."""
-        rows = self._list_hypotheses()
-        lines = ["; ".join(f"{name}: {value}" for name, value in row.items()) for row in rows]
-        return "\n".join([self.answer, *lines, *self.task.notes])
+        """Write the answer, and the notes on what was planted."""
+        return "\n".join([self.answer, *self.task.notes])
 
     def _find_row(self, hypothesis: tuple[str, str]) -> Row:
         """Find what is known of a hypothesis in the design that is shown, and what was planted."""
@@ -384,24 +382,6 @@ class StudyPower(results.PageResult):
         place = power.design.hypotheses.index(hypothesis)
         found = {**power.table.iloc[place].to_dict(), **self.task.effects.iloc[place].to_dict()}
         return {str(name): value for name, value in found.items()}
-
-    def _list_hypotheses(self) -> list[dict[str, str]]:
-        """List what is said of each hypothesis in the design that is shown."""
-
-        def write(value: float) -> str:
-            return f"{value:.2g}{unit}" if isfinite(value) else ABSENT
-
-        rows = []
-        for row in map(self._find_row, self.plan.shown.design.hypotheses):
-            size, unit = row["size"], f" points per {row['per']}"
-            rows.append({
-                "Hypothesis": f"{format_name(row['metric'])} on {format_name(row['attribute'])}",
-                "Planted": f"{row['points']:.2g}{unit} ({row['source']})",
-                "Power": planning.format_power(row["power"]), "Simulated": planning.format_simulated(row),
-                "Detectable": write(row["detectable"] * size),
-                "Interval": "± " + write(row["width"] * size / 2),
-            })  # fmt: skip
-        return rows
 
     def _make_page(self, tables: Mapping[str, DataFrame]) -> results.PageParts:
         plan, task, own = self.plan, self.task, self.plan.powers[0].design
@@ -418,7 +398,8 @@ class StudyPower(results.PageResult):
         }  # fmt: skip
         values = {
             "content": content, "own": own.recordings, "shown": plan.shown.design,
-            "step": self._find_row(plan.hypothesis), "hypotheses": self._list_hypotheses(),
+            "step": self._find_row(plan.hypothesis),
+            "hypotheses": [self._find_row(one) for one in plan.shown.design.hypotheses],
             "power": planning.format_power, "simulated": planning.format_simulated, "units": planning.describe_units,
         }  # fmt: skip
         # Of the smallest designs that are enough, which may need hundreds of people, only the recommended one is drawn.

@@ -6,17 +6,20 @@ the same, from what the journals hold.
 `matches.csv` has one row per stimulus that was matched in strength. `offset_db` says how much stronger than in the
 study it had to be played to be as strong as the recording itself; 0 where the study's levels are right. Of each reducer
 it is averaged over a participant's recordings, then over participants; the interval is Student's, over participants.
+
+`data/*.csv` has one file per participant and one row per trial, in the columns that PsychoPy's users know.
 """
 
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
+from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
 from statistics import fmean, stdev
 from typing import Any
 
-from feel321.files import write_table
+from feel321.files import make_folder, write_table
 from feel321.names import MATCHES
 from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.threshold import SECOND, Matching
@@ -33,7 +36,6 @@ from feel321.study.session.events import (
 from feel321.study.session.journal import Records, list_journals, name_journal
 from feel321.study.session.plan import Dossier, Plan, list_by_code, read_as_written
 from feel321.study.thresholds import find_own_levels
-from feel321.study.wide import write_wide
 
 MATCHES_FILE = "matches.csv"
 MATCH_COLUMNS = (
@@ -207,3 +209,51 @@ def describe_matches(rows: Iterable[Mapping[str, Any]]) -> list[str]:
         f"to be played stronger by (95 % interval over participants) {', '.join(offsets)}. 0 dB means that the study's "
         "levels are right; 'original' is the recording matched with itself."
     ]
+
+
+# One row per trial.
+
+WIDE = "data"  # folder of the files, in a study's
+
+ONCE = {
+    "participant": "participant", "session": "session", "protocol": "trials.protocol", "block": "trials.block",
+    "trial": "trials.thisN", "repeat": "trials.thisRepN", "response_time_s": "response.rt", "underruns": "underruns",
+    "rejected": "rejected", "simulated": "simulated",
+}  # fmt: skip
+"""Column of a judgement -> column of a trial."""
+
+EACH = {
+    "stimulus_id": "stimulus", "recording": "recording", "reducer": "reducer", "level": "level",
+    "reference_id": "reference", "scale": "scale", "rating": "response", "onset_s": "started",
+}  # fmt: skip
+"""Column of a judgement -> column of each judgement in a trial, which ends in its number."""
+
+
+def write_wide(study: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write the trials of each participant, and remove the files of those who are no longer there."""
+    folder = study / WIDE
+    people = {name: list(own) for name, own in groupby(rows, itemgetter("participant"))}
+    own_start = ",".join(ONCE.values()).encode()
+    foreign = set()  # a recording, or a table of the lab's own, that lies here is left
+    for path in folder.glob("*.csv"):
+        if not path.read_bytes().startswith(own_start):
+            foreign.add(path.stem)
+        elif path.stem not in people:
+            path.unlink()  # of nobody here
+    if people:
+        make_folder(folder, private=True)
+    if taken := sorted(foreign & people.keys()):
+        raise FileExistsError(f"{folder / taken[0]}.csv: is not feel321's; move it away")
+    for name, own in people.items():
+        key = itemgetter("session", "trial", "response_time_s")
+        trials = [list(one) for _, one in groupby(own, key)]
+        numbers = range(1, max(map(len, trials)) + 1)
+        columns = [*ONCE.values(), *(f"{column}_{k}" for k in numbers for column in EACH.values())]
+        write_table(folder / f"{name}.csv", columns, map(_widen, trials), private=True)
+
+
+def _widen(judgements: list[Mapping[str, Any]]) -> dict[str, Any]:
+    row = {column: judgements[0][name] for name, column in ONCE.items()}
+    for number, one in enumerate(judgements, start=1):
+        row |= {f"{column}_{number}": one[name] for name, column in EACH.items()}
+    return row

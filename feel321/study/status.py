@@ -1,16 +1,20 @@
-"""Progress of every participant, and balance of the design as it was run. Blind."""
+"""Progress of every participant, and balance of the design as it was run: as a table, or as a page that renews itself.
+
+Both are blind: no ratings and no names of conditions. Journals are only read.
+"""
 
 from __future__ import annotations
 
+import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, field, fields, replace
+from datetime import datetime
 from itertools import groupby
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from feel321.doors import announce
-from feel321.files import is_held
+from feel321.files import is_held, write_text
 from feel321.protocols.agenda import SECONDS
 from feel321.protocols.order import TASK_ORDERS, measure_balance
 from feel321.protocols.tasks import find_other, is_as_expected
@@ -30,18 +34,17 @@ from feel321.study.session.events import (
 )
 from feel321.study.session.journal import Records
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
+from feel321.study.terminal import echo
 from feel321.study.thresholds import find_warnings, read_thresholds
 
 if TYPE_CHECKING:
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Chain, Record
-
-    Known = dict[Path, tuple[Dossier, Progress, list[Trial]]]
+    from feel321.study.session.journal import Chain, Clock, Record
 
 CALLED = "called"
 """State of a session whose device failed until the experimenter comes."""
@@ -49,8 +52,17 @@ CALLED = "called"
 GOING_ON = {"claimed", "running", "aborted", CALLED}
 """States of those who have something left."""
 
+STATES = (CALLED, "", "running", "aborted", "claimed", "finished", "released", "withdrawn")
+"""States, those first that somebody should look at; without one, files cannot be read."""
+
 CALLED_FOR = "last called for: "
 """How a warning begins that holds words of the device, which are not blind."""
+
+EVERY_S = 5.0
+"""How often the page is renewed, and how often a browser reads it again."""
+
+OWN_PAGE = '<meta name="generator" content="feel321 status --watch">'
+"""Tells a page of this module from other files."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +83,205 @@ class BalanceAsRun:
     participants: int
     finished: int
     evenness: tuple[Evenness, ...]
+
+
+@dataclass(frozen=True, slots=True, repr=False, eq=False)
+class Status(Result):
+    """Progress of a study; frozen: whether its choices are, in a line; shows_notes: in its summary."""
+
+    participants: tuple[Progress, ...]
+    balance: BalanceAsRun | None
+    length: minutes.Length | None = None
+    frozen: str = ""
+    shows_notes: bool = False
+
+    def to_frame(self) -> DataFrame:
+        """Return one row per participant."""
+        import pandas as pd
+
+        columns = [field.name for field in fields(Progress)]
+        return pd.DataFrame([asdict(entry) for entry in self.participants], columns=columns)
+
+    def summary(self) -> str:
+        """Write what `feel321 status` prints."""
+        form = "{:<14}{:<11}{:>9}{:>9}{:>5}{:>5}  {}"
+        head = ("participant", "state", "answered", "given up", "left", "min", "last activity")
+        lines = [form.format(*head)]
+        for one in self.participants:
+            groups = ", ".join(f"{factor}={level}" for factor, level in one.groups.items())
+            notes = "; ".join(filter(None, ["simulated" if one.simulated else "", groups]))
+            tail = one.last_activity + f" ({notes})" * bool(notes)
+            left = "" if one.left_min is None else f"{one.left_min:.0f}"
+            row: tuple[object, ...] = (one.state, one.answered, one.given_up, one.left, left, tail)
+            row = ("?", "?", "?", "?", "", one.problem) if one.problem else row
+            lines.append(form.format(one.participant, *row).rstrip())
+            lines += [f"{'':<14}{warning}" for warning in one.warnings]
+        length = [] if self.length is None else [self.length.describe()]
+        lines += [*describe_rigs(self.participants), *length, *filter(None, [self.frozen])]
+        lines += describe_balance(self.balance)
+        if self.shows_notes:
+            taken = [(one.participant, note) for one in self.participants for note in one.notes]
+            said = [f"  {who:<12}{note.utc}  {note.text}" for who, note in taken]
+            lines += ["notes:", *said] if said else ["notes: none"]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        """Count the participants in each state."""
+        counts = Counter(entry.state or "unreadable" for entry in self.participants)
+        states = ", ".join(f"{count} {state}" for state, count in counts.items())
+        return f"Status({states or 'no participants'})"
+
+
+@dataclass(slots=True)
+class Watch:
+    """Looks at the sessions of a study.
+
+    known: what was derived of each participant, for as long as plan and journals are as they were, with the trials that
+    count for the balance, in the order that they were run.
+    """
+
+    study: StudyFolder
+    known: dict[Path, tuple[Dossier, Progress, list[Trial]]] = field(default_factory=dict)
+
+    def look(
+        self, progress: Callable[[int, int], None] = lambda _done, _total: None
+    ) -> tuple[list[Progress], minutes.Length | None]:
+        """Read the progress of everybody, and how long sessions take, where there is a stimulus set."""
+        folders = self.study.participants
+        entries = dict[Path, Progress]()
+        for done, folder in enumerate(folders, start=1):
+            entries[folder] = self._read(folder)
+            progress(done, len(folders))
+        dossiers, length = {folder: self.known[folder][0] for folder in self.known}, None
+        with suppress(OSError, ValueError):
+            durations = minutes.find_durations(read_stimuli(self.study.stimuli))
+            pace = minutes.observe_pace(dossiers.values(), durations)
+            for folder, one in dossiers.items():
+                if entries[folder].state in GOING_ON:
+                    left = minutes.find_left(one.plan, one.records, durations=durations, pace=pace)
+                    left_min = max(left.values()) / SECONDS
+                    entries[folder] = replace(entries[folder], left_min=left_min)
+            plans = [one.plan for one in dossiers.values()]
+            length = minutes.measure_length(plans, durations, pace) if plans else None
+        return list(entries.values()), length
+
+    def _read(self, folder: Path) -> Progress:
+        """Read a participant; a session that no live process writes is `aborted`, not `running`."""
+        before = self.known.pop(folder, None)
+        if (folder / TOMBSTONE_FILE).exists():
+            return Progress(folder.name, state="withdrawn")
+        try:
+            dossier = self.study.read_person(folder)
+            if before is None or before[0] is not dossier:
+                before = dossier, *_derive(dossier)
+        except (OSError, ValueError) as error:
+            return Progress(folder.name, problem=str(error))
+        self.known[folder] = before
+        own = before[1]
+        calls = [one.event for one in dossier.records if _is_call(one)]
+        if own.state != "released" and calls[-1:] == [DeviceFailed.event]:
+            return replace(own, state=CALLED)
+        is_left = own.state == "running" and not is_held(folder / LOCK_FILE)
+        return replace(own, state="aborted") if is_left else own
+
+    def write_page(self, now: datetime, *, is_over: bool = False) -> str:
+        """Write the page; nothing that was written in free words is shown."""
+        from feel321.analysis.page import render_template
+
+        rows: list[dict[str, Any]] = []
+        for one in sorted(self.look()[0], key=lambda one: STATES.index(one.state)):
+            warnings = [text for text in one.warnings if not text.startswith(CALLED_FOR)]
+            quiet_min = None
+            if one.state in GOING_ON and one.last_activity:
+                quiet = now - datetime.fromisoformat(one.last_activity)
+                quiet_min = max(0.0, quiet.total_seconds() / 60)
+            rows.append({"own": one, "warnings": warnings, "quiet_min": quiet_min})
+        return render_template(
+            "watch.html",
+            study=self.study.path.resolve().name,
+            is_rehearsal=self.study.is_rehearsal,
+            now=now.astimezone(),
+            every_s=None if is_over else EVERY_S,
+            rows=rows,
+        )
+
+
+def read_status(
+    study: StudyFolder, *, progress: Callable[[int, int], None] = lambda _done, _total: None
+) -> Status:
+    """Read the progress of a study, also while sessions run."""
+    watch = Watch(study)
+    entries, length = watch.look(progress)
+    frozen = "" if study.is_rehearsal else describe_frozen(study)
+    run = [(dossier, trials) for dossier, _, trials in watch.known.values()]
+    return Status(tuple(entries), measure_realised(run), length, frozen)
+
+
+def watch_study(study: StudyFolder, page: Path, *, now: Clock) -> None:
+    """Write the page and renew it until Ctrl-C, each time whole; its last version says that it ended."""
+    if page.exists() and OWN_PAGE not in page.read_text(encoding="utf-8", errors="replace"):
+        raise FileExistsError(
+            f"{page}: exists and is no page of status --watch, so it is not overwritten; choose another name"
+        )
+    watch = Watch(study)
+    write_text(page, watch.write_page(now()), private=True)
+    echo(page, err=True)
+    with suppress(KeyboardInterrupt):
+        while True:
+            time.sleep(EVERY_S)
+            write_text(page, watch.write_page(now()), private=True)
+    write_text(page, watch.write_page(now(), is_over=True), private=True)
+
+
+# What is derived of one participant.
+
+
+def _derive(dossier: Dossier) -> tuple[Progress, list[Trial]]:
+    """Derive the progress of a participant, and the trials that count for the balance."""
+    own = make_progress(dossier)
+    trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
+    with read_as_written(dossier.newest):
+        found = dossier.records.find(TrialRated)
+        rated = [one for one in found if one.trial in trials and not one.rejected]
+        warnings = tuple(_find_warnings(dossier, rated))
+    return replace(own, warnings=warnings), [trials[one.trial] for one in rated]
+
+
+def _is_call(record: Record) -> bool:
+    """Check whether the experimenter was called, or the page of a call was left."""
+    is_page = record.event == PageRead.event and record.data.get("key") == "call_us"
+    return is_page or record.event == DeviceFailed.event
+
+
+def _find_warnings(dossier: Dossier, rated: Sequence[TrialRated]) -> Iterator[str]:
+    if dossier.chains:
+        yield from find_flags(dossier.chains[-1])
+        yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
+    trials = {trial.number: trial for trial in dossier.plan.trials if trial.catch}
+    caught = [one for one in rated if one.trial in trials]
+    answers = [is_as_expected(trials[one.trial], one.values) for one in caught]
+    if missed := answers.count(False):
+        known = sum(answer is not None for answer in answers)
+        yield f"{missed} of {known} catch trials not as expected"
+
+
+def find_flags(chain: Chain) -> Iterator[str]:
+    """List what went wrong in a session, without looking at any answer."""
+    if chain.torn:
+        yield f"{len(chain.torn)} bytes of an unfinished line, moved aside on resuming"
+    counts = Counter(flag for record in chain.records for flag in record.data.get("flags", ()))
+    yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
+    if any(page.key == "training_failed" for page in chain.records.find(PageRead)):
+        yield "training not passed"
+    if calls := list(chain.records.find(DeviceFailed)):
+        yield f"experimenter called: {len(calls)} x"
+        yield f"{CALLED_FOR}{calls[-1].reason}"
+    noticed = Records(record for record in chain.records if record.data.get("notice"))
+    for said in find_notices(noticed.find(PartPlayed)).values():
+        yield f"{len(said)} x {said[0]}"
+
+
+# Balance of the design.
 
 
 def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> BalanceAsRun | None:
@@ -129,7 +340,7 @@ def _split(
         yield task, "recordings", tuple(sorted(recordings[task])), order
 
 
-def _gather_blocks(trials: Iterable[Trial]) -> dict[int, list[Trial]]:
+def _gather_blocks(trials: Iterable[Trial]) -> Mapping[int, list[Trial]]:
     """Gather trials by block; a second attempt may come after other blocks, it is the last of its own."""
     blocks: dict[int, list[Trial]] = defaultdict(list)
     for trial in trials:
@@ -142,153 +353,3 @@ def _name_condition(trial: Trial) -> str:
     about = trial.judgements[0]
     other = find_other(trial, about) or about.reference_id or about.stimulus_id
     return "|".join(sorted({about.stimulus_id, other}))
-
-
-@dataclass(frozen=True, slots=True, repr=False, eq=False)
-class Status(Result):
-    """Progress of a study; frozen: whether its choices are, in a line."""
-
-    participants: tuple[Progress, ...]
-    balance: BalanceAsRun | None
-    length: minutes.Length | None = None
-    frozen: str = ""
-
-    def to_frame(self) -> DataFrame:
-        """Return one row per participant."""
-        import pandas as pd
-
-        columns = [field.name for field in fields(Progress)]
-        return pd.DataFrame([asdict(entry) for entry in self.participants], columns=columns)
-
-    def summary(self) -> str:
-        """Write what `feel321 status` prints."""
-        form = "{:<14}{:<11}{:>9}{:>9}{:>5}{:>5}  {}"
-        head = ("participant", "state", "answered", "given up", "left", "min", "last activity")
-        lines = [form.format(*head)]
-        for one in self.participants:
-            groups = ", ".join(f"{factor}={level}" for factor, level in one.groups.items())
-            notes = "; ".join(filter(None, ["simulated" if one.simulated else "", groups]))
-            tail = one.last_activity + f" ({notes})" * bool(notes)
-            left = "" if one.left_min is None else f"{one.left_min:.0f}"
-            row: tuple[object, ...] = (one.state, one.answered, one.given_up, one.left, left, tail)
-            row = ("?", "?", "?", "?", "", one.problem) if one.problem else row
-            lines.append(form.format(one.participant, *row).rstrip())
-            lines += [f"{'':<14}{warning}" for warning in one.warnings]
-        length = [] if self.length is None else [self.length.describe()]
-        lines += [*describe_rigs(self.participants), *length, *filter(None, [self.frozen])]
-        return "\n".join([*lines, *describe_balance(self.balance)])
-
-    def list_notes(self) -> list[str]:
-        """Write what `feel321 status --notes` adds."""
-        taken = [(entry.participant, note) for entry in self.participants for note in entry.notes]
-        lines = [f"  {who:<12}{note.utc}  {note.text}" for who, note in taken]
-        return ["notes:", *lines] if lines else ["notes: none"]
-
-    def __repr__(self) -> str:
-        """Count the participants in each state."""
-        counts = Counter(entry.state or "unreadable" for entry in self.participants)
-        states = ", ".join(f"{count} {state}" for state, count in counts.items())
-        return f"Status({states or 'no participants'})"
-
-
-def read_status(
-    study: StudyFolder, *, progress: Callable[[int, int], None] = lambda _done, _total: None
-) -> Status:
-    """Read the progress of a study, also while sessions run."""
-    entries: dict[Path, Progress] = {}
-    known: Known = {}
-    for count, folder in enumerate(folders := study.participants, start=1):
-        announce(folder.name)
-        entries[folder] = read_participant(study, folder, known)
-        progress(count, len(folders))
-    dossiers, length = [dossier for dossier, *_ in known.values()], None
-    with suppress(OSError, ValueError):  # there may be no stimulus set
-        durations = minutes.find_durations(read_stimuli(study.stimuli))
-        pace = minutes.observe_pace(dossiers, durations)
-        entries |= add_minutes(entries, known, durations=durations, pace=pace)
-        plans = [one.plan for one in dossiers]
-        length = minutes.measure_length(plans, durations, pace) if plans else None
-    frozen = "" if study.is_rehearsal else describe_frozen(study)
-    balance = measure_realised((dossier, trials) for dossier, _, trials in known.values())
-    return Status(tuple(entries.values()), balance, length, frozen)
-
-
-def add_minutes(
-    entries: Mapping[Path, Progress],
-    known: Known,
-    *,
-    durations: Mapping[str, float],
-    pace: minutes.Pace,
-) -> dict[Path, Progress]:
-    """Add the minutes that participants have left who go on."""
-    added = {}
-    for folder, (dossier, *_) in known.items():
-        if entries[folder].state in GOING_ON:
-            plan, records = dossier.plan, dossier.records
-            left = minutes.find_left(plan, records, durations=durations, pace=pace)
-            added[folder] = replace(entries[folder], left_min=max(left.values()) / SECONDS)
-    return added
-
-
-def read_participant(study: StudyFolder, folder: Path, known: Known) -> Progress:
-    """Read the status of a participant; a session that no live process writes is `aborted`, not `running`.
-
-    known: takes the trials that count for the balance, in the order that they were run, and keeps what was derived for
-    as long as plan and journals are as they were.
-    """
-    before = known.pop(folder, None)
-    if (folder / TOMBSTONE_FILE).exists():
-        return Progress(folder.name, state="withdrawn")
-    try:
-        dossier = study.read_person(folder)
-        if before is None or before[0] is not dossier:
-            trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
-            own = make_progress(dossier)
-            with read_as_written(dossier.newest):
-                rated = [one for one in dossier.records.find(TrialRated) if one.trial in trials]
-                rated = [one for one in rated if not one.rejected]
-                warnings = tuple(_find_warnings(dossier, rated))
-            before = dossier, replace(own, warnings=warnings), [trials[one.trial] for one in rated]
-    except (OSError, ValueError) as error:
-        return Progress(folder.name, problem=str(error))
-    known[folder] = before
-    own = before[1]
-    calls = [one.event for one in dossier.records if _is_call(one)]
-    if own.state != "released" and calls[-1:] == [DeviceFailed.event]:
-        return replace(own, state=CALLED)
-    is_left = own.state == "running" and not is_held(folder / LOCK_FILE)
-    return replace(own, state="aborted") if is_left else own
-
-
-def _is_call(record: Record) -> bool:
-    """Check whether the experimenter was called, or the page of a call was left."""
-    is_page = record.event == PageRead.event and record.data.get("key") == "call_us"
-    return is_page or record.event == DeviceFailed.event
-
-
-def _find_warnings(dossier: Dossier, rated: Sequence[TrialRated]) -> Iterator[str]:
-    if dossier.chains:
-        yield from find_flags(dossier.chains[-1])
-        yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
-    trials = {trial.number: trial for trial in dossier.plan.trials if trial.catch}
-    caught = [one for one in rated if one.trial in trials]
-    answers = [is_as_expected(trials[one.trial], one.values) for one in caught]
-    if missed := answers.count(False):
-        known = sum(answer is not None for answer in answers)
-        yield f"{missed} of {known} catch trials not as expected"
-
-
-def find_flags(chain: Chain) -> Iterator[str]:
-    """List what went wrong in a session, without looking at any answer."""
-    if chain.torn:
-        yield f"{len(chain.torn)} bytes of an unfinished line, moved aside on resuming"
-    counts = Counter(flag for record in chain.records for flag in record.data.get("flags", ()))
-    yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
-    if any(page.key == "training_failed" for page in chain.records.find(PageRead)):
-        yield "training not passed"
-    if calls := list(chain.records.find(DeviceFailed)):
-        yield f"experimenter called: {len(calls)} x"
-        yield f"{CALLED_FOR}{calls[-1].reason}"
-    noticed = Records(record for record in chain.records if record.data.get("notice"))
-    for said in find_notices(noticed.find(PartPlayed)).values():
-        yield f"{len(said)} x {said[0]}"

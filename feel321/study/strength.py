@@ -6,8 +6,7 @@ Works on what a build would make (`feel321.stimuli.sets.build.place_surveyed`), 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from math import inf, log10, sqrt
-from operator import attrgetter
-from typing import NamedTuple
+from operator import attrgetter, itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +19,7 @@ from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, 
 from feel321.stimuli.sets.render import find_headroom_cost
 from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold, to_db
 from feel321.study.actuator import render
-from feel321.study.actuator.mixer import ROUNDING
-from feel321.study.actuator.rig import AXES, REDUCED, Rig
+from feel321.study.actuator.rig import REDUCED, Rig
 from feel321.study.folder import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
@@ -30,109 +28,80 @@ WEAK_DB = 10.0  # with less over the threshold stimuli are felt, but hardly as w
 REACH_DB = 12.0  # three standard deviations of thresholds between participants
 COSTLY_DB = 1.0  # a recording that takes less headroom from the others is not worth a line
 
-
-# How strongly a study's stimuli will be felt: sensation levels and gains.
-
-
-class _Played(NamedTuple):
-    """A stimulus as it is played; sensation_db: over the recipe's threshold."""
-
-    recording: str
-    reducer: str
-    role: str
-    level: str
-    gain: float
-    peak_m_s2: float
-    sensation_db: float
+Gain = tuple[str, str, float, float]
+"""Recording, level arm, gain, and the largest magnitude that is played, in m/s²."""
 
 
 def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Problems:
     """Find out how strongly the stimuli of a study will be felt."""
-    played = _play(foreseen, recipe)
-    unfelt = tuple(_find_weak(played, recipe, least=-inf, below=0.0))
+    unfelt = tuple(_find_weak(foreseen, recipe, least=-inf, below=0.0))
     is_accepted = settings.stimuli.below_threshold == ACCEPT
-    felt = [one for one in played if one.role != ANCHOR]
-    levels: dict[str, dict[str, list[float]]] = {}
+    felt = [one for one in foreseen if one.role != ANCHOR]
+    ranges: dict[str, dict[str, list[float]]] = {}
     for one in foreseen:
-        own = levels.setdefault(one.recording, {curve: [inf, -inf] for curve in THRESHOLDS})
-        for curve, (low, high) in own.items():
-            level = one.sensation_levels_db[curve]
-            own[curve] = [min(low, level), max(high, level)]
-    low, high = (end(one.sensation_db for one in played) for end in (min, max))
+        own = ranges.setdefault(one.recording, {curve: [inf, -inf] for curve in THRESHOLDS})
+        for curve, level in one.sensation_levels_db.items():
+            own[curve] = [min(own[curve][0], level), max(own[curve][1], level)]
+    levels = [one.sensation_levels_db[recipe.threshold] for one in foreseen]
     return Problems(
         problems=() if is_accepted else unfelt,
         warnings=(
             *(unfelt if is_accepted else ()),
-            *_find_weak(played, recipe, least=0.0, below=WEAK_DB),
+            *_find_weak(foreseen, recipe, least=0.0, below=WEAK_DB),
             *find_raised((one.recording, one.level, one.gain) for one in felt),
             *_compare_with_surface(settings, [one.gain for one in felt]),
             *_find_out_of_reach(settings),
         ),
         notes=(
-            *_describe_gains(played, recipe),
-            f"sensation levels: {write_db(low).removesuffix(' dB')} to {write_db(high)} over the detection threshold "
-            f"({recipe.threshold}) in the loudest 200 ms; feel321 check --json lists every recording",
+            *_describe_gains(
+                [(one.recording, one.level, one.gain, one.peak_m_s2) for one in felt], recipe
+            ),
+            f"sensation levels: {write_db(min(levels)).removesuffix(' dB')} to {write_db(max(levels))} over the "
+            f"detection threshold ({recipe.threshold}) in the loudest 200 ms; "
+            "feel321 check --json lists every recording",
         ),
         figures={
             "gain": recipe.gain,
             "threshold": recipe.threshold,
-            "below_threshold": sum(one.sensation_db < 0 for one in played),
-            "stimuli": len(played),
-            "sensation_levels_db": levels,
+            "below_threshold": sum(level < 0 for level in levels),
+            "stimuli": len(foreseen),
+            "sensation_levels_db": ranges,
         },
     )
 
 
-def _play(foreseen: Iterable[Foreseen], recipe: Recipe) -> list[_Played]:
-    return [
-        _Played(
-            *(one.recording, one.reducer, one.role, one.level, one.gain, one.peak_m_s2),
-            one.sensation_levels_db[recipe.threshold],
-        )
-        for one in foreseen
-    ]
-
-
 def _find_out_of_reach(settings: Settings) -> Iterator[str]:
     """List the frequencies at which many participants may have a threshold beyond the levels that are played."""
-    if (block := settings.session.threshold) is None:
-        return
-    for frequency in block.frequencies_hz:
-        curve = acceleration_threshold(frequency, threshold=settings.stimuli.threshold)
-        level_db = to_db(float(curve) / sqrt(2))
-        if not block.lowest_db + REACH_DB <= level_db <= block.highest_db - REACH_DB:
+    block, curve = settings.session.threshold, settings.stimuli.threshold
+    for frequency in block.frequencies_hz if block else ():
+        level_db = to_db(float(acceleration_threshold(frequency, threshold=curve)) / sqrt(2))
+        if block and not block.lowest_db + REACH_DB <= level_db <= block.highest_db - REACH_DB:
             yield (
-                f"session.threshold: at {frequency:g} Hz thresholds are expected around {level_db:.0f} dB "
-                f"({settings.stimuli.threshold}); lowest_db and highest_db should be {REACH_DB:g} dB away from that, "
-                f"got {block.lowest_db:g} and {block.highest_db:g}"
+                f"session.threshold: at {frequency:g} Hz thresholds are expected around {level_db:.0f} dB ({curve}); "
+                f"lowest_db and highest_db should be {REACH_DB:g} dB away from that, got {block.lowest_db:g} and "
+                f"{block.highest_db:g}"
             )
 
 
-def _describe_gains(played: Sequence[_Played], recipe: Recipe) -> list[str]:
+def _describe_gains(gains: Sequence[Gain], recipe: Recipe) -> list[str]:
     """Describe by which gains stimuli are played, and what one recording's peak costs the others."""
     own = {name: one["gain"] for name, one in recipe.exceptions.items() if "gain" in one}
-    # Anchors have no say in the gain, nor have recordings with a gain of their own.
-    played = [one for one in played if one.role != ANCHOR and one.recording not in own]
-    gains = [one.gain for one in played if one.level == "as_is"]
+    common = [one for one in gains if one[0] not in own]
+    as_is = [gain for _, level, gain, _ in common if level == "as_is"]
     scope = {ONE_GAIN: "one for the whole set", GAIN_PER_RECORDING: "one per recording"}
     how = f"gain, {scope.get(str(recipe.gain), 'as given in study.toml')}"
-    lines = [f"{how}: {_write_range(gains)} m/s² played per m/s² recorded" if gains else how]
+    lines = [f"{how}: {_write_range(as_is)} m/s² played per m/s² recorded" if as_is else how]
     if own:
-        lines.append(
-            f"gain of its own: {', '.join(f'{name} {gain:g}' for name, gain in own.items())}"
-        )
-    if recipe.gain != ONE_GAIN or not played:
-        return lines
-    loudest: dict[str, tuple[float, str]] = {}
-    for one in played:
-        peak = one.peak_m_s2 / one.gain
-        if peak > loudest.get(one.recording, (-1.0, ""))[0]:
-            loudest[one.recording] = peak, one.reducer
-    recording, cost_db = find_headroom_cost({name: peak for name, (peak, _) in loudest.items()})
+        named = ", ".join(f"{name} {gain:g}" for name, gain in own.items())
+        lines.append(f"gain of its own: {named}")
+    peaks: dict[str, float] = {}
+    for recording, _, gain, peak in common if recipe.gain == ONE_GAIN else ():
+        peaks[recording] = max(peak / gain, peaks.get(recording, -1.0))
+    recording, cost_db = find_headroom_cost(peaks) if peaks else ("", 0.0)
     if cost_db >= COSTLY_DB:
         lines.append(
-            f"headroom: the peak of recording {recording!r} ({loudest[recording][1]}) sets the gain; all other "
-            f'recordings are played {cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that'
+            f"headroom: the peak of recording {recording!r} sets the gain; all other recordings are played "
+            f'{cost_db:.1f} dB weaker for it; gain = "{GAIN_PER_RECORDING}" avoids that'
         )
     return lines
 
@@ -152,40 +121,30 @@ def find_unfelt(settings: Settings, stimuli: StimulusSet) -> str:
 def describe_built(settings: Settings, stimuli: StimulusSet) -> list[str]:
     """Describe the gains of a built set, beside a real surface too, and how many of its stimuli cannot be felt."""
     recipe = make_recipe(settings, stimuli.folder.parent)
-    played = [
-        _Played(
-            *(one.recording, one.reducer, one.role, one.level, one.gain),
-            recipe.full_scale_m_s2 * one.peak,
-            one.sensation_level_db,
-        )
-        for one in stimuli
-    ]
+    most, felt = recipe.full_scale_m_s2, [one for one in stimuli if one.role != ANCHOR]
+    gains = [(one.recording, one.level, one.gain, most * one.peak) for one in felt]
     unfelt = filter(None, [find_unfelt(settings, stimuli)])
-    tests = [one.gain for one in stimuli if one.role != ANCHOR]
-    beside = _compare_with_surface(settings, tests)
-    return [*_describe_gains(played, recipe), *beside, *unfelt, *stimuli.warnings]
+    beside = _compare_with_surface(settings, [one.gain for one in felt])
+    return [*_describe_gains(gains, recipe), *beside, *unfelt, *stimuli.warnings]
 
 
-def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> list[str]:
+def find_clipping(foreseen: Sequence[Foreseen], recipe: Recipe) -> Iterator[str]:
     """Find stimuli that are not built yet and will be limited at full scale: one line per recording."""
-    lines, most = [], recipe.full_scale_m_s2
-    for recording, own in _group(_play(foreseen, recipe)):
+    most = recipe.full_scale_m_s2
+    for recording, own in _group(foreseen):
         if over := [one.peak_m_s2 / most for one in own if one.peak_m_s2 > most]:
-            lines.append(
+            yield (
                 f"recording {recording!r}: {len(over)} of {len(own)} stimuli will be clipped at full scale "
                 f"({most:g} m/s²), by up to {to_db(max(over)):.1f} dB; lower the gain or raise full_scale_m_s2"
             )
-    return lines
 
 
-def _group(played: Sequence[_Played]) -> list[tuple[str, list[_Played]]]:
-    order = list(dict.fromkeys(one.recording for one in played))
-    own = sorted(played, key=lambda one: order.index(one.recording))
-    return [(name, list(some)) for name, some in groupby(own, attrgetter("recording"))]
+def _group(foreseen: Iterable[Foreseen]) -> list[tuple[str, list[Foreseen]]]:
+    return [(name, list(own)) for name, own in groupby(foreseen, attrgetter("recording"))]
 
 
 def _find_weak(
-    played: Sequence[_Played], recipe: Recipe, *, least: float, below: float
+    foreseen: Sequence[Foreseen], recipe: Recipe, *, least: float, below: float
 ) -> Iterator[str]:
     """List the recordings whose stimuli have sensation levels in a range, and what helps them.
 
@@ -195,27 +154,24 @@ def _find_weak(
     where = f"below the detection threshold ({recipe.threshold}), not to be felt"
     if below:
         where = f"less than {below:g} dB over the detection threshold ({recipe.threshold})"
-    for recording, own in _group(played):
+    for recording, own in _group(foreseen):
+        levels = [(one.sensation_levels_db[recipe.threshold], one) for one in own]
         weak = sorted(
-            (one for one in own if least <= one.sensation_db < below),
-            key=attrgetter("sensation_db"),
+            ((level, one) for level, one in levels if least <= level < below), key=itemgetter(0)
         )
         if not weak:
             continue
-        has_arms = len(recipe.levels) > 1 or len({one.level for one in weak}) > 1
-        arms = [f" {one.level}" if has_arms else "" for one in weak]
-        levels = [write_db(one.sensation_db) for one in weak]
+        has_arms = len(recipe.levels) > 1 or len({one.level for _, one in weak}) > 1
         named = ", ".join(
-            f"{one.reducer}{arm} {level}"
-            for one, arm, level in zip(weak, arms, levels, strict=True)
+            f"{one.reducer}{f' {one.level}' if has_arms else ''} {write_db(level)}"
+            for level, one in weak
         )
         peak = max(one.peak_m_s2 for one in own if one.role != ANCHOR)
         room_db = energy_db(recipe.headroom * recipe.full_scale_m_s2, peak) * 2
-        is_silent = weak[0].sensation_db == -inf
         advice = (
             "leave out the recording or these reducers, or use a stronger rig (full_scale_m_s2)"
         )
-        if not is_silent and recipe.gain != GAIN_PER_RECORDING and room_db > COSTLY_DB:
+        if weak[0][0] > -inf and recipe.gain != GAIN_PER_RECORDING and room_db > COSTLY_DB:
             helped = f'gain = "{GAIN_PER_RECORDING}" plays this recording {room_db:.1f} dB stronger'
             advice = f"{helped}; leave out what is still weak then, or use a stronger rig"
         what = f"{len(weak)} of {len(own)} stimuli {where}: {named}"
@@ -223,11 +179,8 @@ def _find_weak(
 
 
 def _compare_with_surface(settings: Settings, gains: Sequence[float]) -> Iterator[str]:
-    beside = [
-        task.protocol
-        for task in make_design(settings).tasks
-        if task.surface or task.reference == SURFACE
-    ]
+    tasks = make_design(settings).tasks
+    beside = [one.protocol for one in tasks if one.surface or one.reference == SURFACE]
     if beside and set(gains) != {1.0}:
         yield (
             f"tasks {', '.join(beside)}: the real surface is felt, but stimuli are played at {_write_range(gains)} "
@@ -237,8 +190,7 @@ def _compare_with_surface(settings: Settings, gains: Sequence[float]) -> Iterato
 
 
 def _write_range(values: Sequence[float]) -> str:
-    ends = dict.fromkeys(f"{value:.3g}" for value in (min(values), max(values)))
-    return " to ".join(ends)
+    return " to ".join(dict.fromkeys(f"{value:.3g}" for value in (min(values), max(values))))
 
 
 def energy_db(energy: float, other: float) -> float:
@@ -253,7 +205,7 @@ def write_db(value: float) -> str:
     return "silent" if value == -inf else f"{round(value, 1) + 0.0:.1f} dB"
 
 
-# What a rig makes of the strength of stimuli: equal energy for one axis and for three, and peaks that it can play.
+# What a rig makes of the strength of stimuli: equal energy for one axis and for three.
 
 
 def find_reach(
@@ -274,9 +226,9 @@ def find_reach(
         )
         return Problems(warnings=(line,))
     mix = render.find_mix(rig)
-    reduced = render.reduced_energy(mix, directions)
+    reduced = render.find_energy(mix, directions)
     differences = {
-        recording: energy_db(reduced, render.original_energy(mix, directions, covariance))
+        recording: energy_db(reduced, render.find_energy(mix, directions, covariance))
         for recording, covariance in covariances.items()
     }
     recording = max(differences, key=lambda name: abs(differences[name]))
@@ -284,7 +236,7 @@ def find_reach(
     if abs(worst) < render.EQUAL_DB:
         same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
         return Problems(notes=(f"{same} (difference {write_db(worst)})",), figures=figures)
-    # Strength gives the reference away; which weights would avoid that?
+    # Strength gives the reference away; these weights would avoid that.
     factor = 10 ** (-worst / 20)
     weights = {name: own[REDUCED] * factor for name, own in mix.items() if REDUCED in own}
     remedy = (
@@ -301,27 +253,3 @@ def find_reach(
         f"strength; {remedy}"
     )
     return Problems(warnings=(warning,), figures=figures)
-
-
-def find_rig_limits(rig: Rig, foreseen: Sequence[Foreseen], reference: str) -> list[str]:
-    """Find what a rig cannot play, by the peaks of stimuli that are not built yet."""
-    needed = (REDUCED, *AXES) if reference == ORIGINAL else (REDUCED,)
-    played = {source for actuator in rig.actuators for source in actuator.plays}
-    missing = [source for source in needed if source not in played]
-    remedy = "add it to `plays`, or name a reference in study.toml that the rig can play"
-    lines = [f"no actuator plays {', '.join(missing)}; {remedy}"] if missing else []
-    mix = render.find_mix(rig)
-    worst = max((one for one in foreseen if one.reducer != ORIGINAL), key=lambda one: one.peak_m_s2)
-    for actuator in rig.actuators:
-        asked = worst.peak_m_s2 * mix[actuator.name].get(REDUCED, 0.0)
-        limits = {
-            "limits.peak_m_s2": rig.limits.peak_m_s2,
-            "its full_scale_m_s2": actuator.full_scale_m_s2,
-        }
-        limit = min(limits, key=lambda name: limits[name])
-        if asked > limits[limit] * (1 + ROUNDING):
-            lines.append(
-                f"actuator {actuator.name!r}: {worst.recording} {worst.reducer} will ask for {asked:.4g} m/s², above "
-                f"{limit} of {limits[limit]:g}; lower gain or headroom in study.toml, or raise that if the coil allows"
-            )
-    return lines

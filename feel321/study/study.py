@@ -1,43 +1,42 @@
-"""A study from Python or a notebook: what it holds, and the same steps as on the command line."""
+"""A study from Python or a notebook: what it holds, and every verb of the command line that works on one.
+
+A study is opened once and passed on: its folder reads each plan and journal once. `feel321.study.cli` makes the verbs
+of these methods: their options from the signatures, their help from the docstrings.
+"""
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
-from feel321.doors import as_path, as_seed, follow
-from feel321.study.folder import (
-    Audit,
-    Problems,
-    Seal,
-    StudyFolder,
-    UsageError,
-    create_study,
-    require_study,
-)
-from feel321.study.session.journal import Clock, utc_now
+from feel321.doors import as_path, follow
+from feel321.jobs import Workers
+from feel321.study.folder import Outcome, Problems, UsageError, create_study, require_study
+from feel321.study.laboratory import Laboratory
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.report.write import Results
     from feel321.analysis.table.items import Table
-    from feel321.jobs import Workers
     from feel321.stimuli.recording import Recording
     from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study import options
+    from feel321.study.folder import Audit, Seal
     from feel321.study.power import StudyPower
     from feel321.study.settings.schema import Settings
-    from feel321.study.status import Status
-    from feel321.types import PathLike, Progress, Rng
+    from feel321.types import PathLike, Progress
 
-    Numbers = int | Sequence[int]
+
+def hire(workers: int | Workers, scheduler: str) -> Workers:
+    """Take a number of processes, or the address of a cluster, for those who do the work."""
+    return Workers(workers, scheduler) if isinstance(workers, int) else workers
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Study:
+class Study(Laboratory):
     """A study in its folder; begin with `Study.create` or `Study.open`.
 
     Parameters
@@ -61,11 +60,6 @@ class Study:
     >>> len(pilot.recordings())
     6
     """
-
-    folder: StudyFolder
-    progress: Progress = False
-    now: Clock = utc_now
-    warn: Callable[[str], None] | None = None
 
     @classmethod
     def create(cls, path: PathLike, *, like: str | None = None, methods: bool = False) -> Self:
@@ -100,18 +94,36 @@ class Study:
         """
         return cls(require_study(as_path(path)), progress)
 
-    def check(self) -> Problems:
-        """Check settings, recordings, texts, strength of the stimuli, rig and, once built, the stimulus set."""
-        from feel321.study.freeze import describe_frozen, find_faults
-        from feel321.study.workflow import check_study
+    def check(self, *, method: options.Name = None, kind: options.Kind = None) -> Problems:
+        """Check everything that a study needs.
 
+        Settings, recordings, texts, strength of the stimuli, rig and stimulus set: every problem is listed at once.
+        With --method: whether a reducer or metric of your own meets feel321's requirements.
+
+        Example: feel321 check my-study
+                 feel321 check --method mylab.haptics:my321
+                 feel321 check my-study --method methods/snr.py:snr --kind metric
+
+        Parameters
+        ----------
+        method : str, optional
+            Your own method instead: mylab:my321, methods/my321.py:my321, or its table's name.
+        kind : str, optional
+            Guessed if left out.
+        """
+        from feel321.study.freeze import describe_frozen, find_faults
+        from feel321.study.workflow import check_own_method, check_study
+
+        if method is not None:
+            return check_own_method(method, self.folder.path, kind)
+        require_study(self.folder.path)
         with follow(self.progress, "check") as step:
             found = check_study(self.folder, progress=step)
         frozen = filter(None, [describe_frozen(self.folder)])
         faults = find_faults(self.folder)
         return replace(found, warnings=(*found.warnings, *faults), notes=(*found.notes, *frozen))
 
-    def build(self, workers: int | Workers = 1) -> StimulusSet:
+    def build(self, workers: options.Crew = 1, *, scheduler: options.Scheduler = "") -> StimulusSet:
         """Build the stimulus set; only what changed is made again.
 
         Example: feel321 build my-study --workers 2
@@ -119,162 +131,37 @@ class Study:
         Parameters
         ----------
         workers : int or Workers
-            Number of processes, or who else does the work.
+            Number of processes.
+        scheduler : str
+            A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
         """
         from feel321.stimuli.sets.build import find_copies
         from feel321.study.workflow import build_study
 
         with follow(self.progress, "build") as step:
-            facts, stimuli = build_study(self.folder, workers=workers, progress=step)
+            facts, stimuli = build_study(
+                self.folder, workers=hire(workers, scheduler), progress=step
+            )
         noticed = [f"{one.name}: {text}" for one in facts for text in one.warnings]
         for text in (*noticed, *find_copies(facts)):
-            self._warn(text)
+            self.say(text)
         return stimuli
-
-    def simulate(self, participants: int = 16, rng: Rng | None = None) -> DataFrame:
-        """Run sessions with simulated participants, or resume them.
-
-        Parameters
-        ----------
-        participants : int
-            How many take part.
-        rng : int or Generator, optional
-            Random seed of the participants; the study's by default.
-        """
-        import pandas as pd
-
-        from feel321.study.simulation import simulate_study
-
-        if participants < 1:
-            raise ValueError(f"participants must be 1 or more, got {participants}")
-        seed = None if rng is None else as_seed(rng)
-        with follow(self.progress, "simulate") as step:
-            simulate_study(
-                self.folder, participants=participants, seed=seed, now=self.now, progress=step,
-                warn=self._warn,
-            )  # fmt: skip
-        return pd.read_csv(self.folder.ratings)
-
-    def status(self) -> Status:
-        """Read how far every participant has come, and how balanced the design is so far. Blind."""
-        from feel321.study.status import read_status
-
-        with follow(self.progress, "status") as step:
-            return read_status(self.folder, progress=step)
-
-    def analyze(
-        self,
-        *,
-        ratings: PathLike | None = None,
-        manifest: PathLike | None = None,
-        out: PathLike | None = None,
-        metrics: Sequence[str] = (),
-        draws: int | None = None,
-    ) -> Results:
-        """Relate the ratings to the match metrics and write the report.
-
-        Writes index.html, results.json (every number of the page; --json prints it), tables/ and figures/ into
-        STUDY/report. Metrics, bootstrap draws and margin of equivalence are declared in study.toml, [analysis].
-
-        Example: feel321 analyze my-study
-                 feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
-                 feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match
-
-        Parameters
-        ----------
-        ratings : str or path, optional
-            Ratings from elsewhere; needs a manifest outside a study.
-        manifest : str or path, optional
-            The stimuli rated.  [default: the study's]
-        out : str or path, optional
-            Where to, instead of report/.
-        metrics : sequence of str
-            A numeric manifest column to analyze; repeatable.  [default: as declared]
-        draws : int, optional
-            Bootstrap draws per interval; as study.toml declares by default.
-        """
-        from feel321.study.analyze import analyze_study
-        from feel321.study.export.narrative import write_methods
-        from feel321.study.persons.withdrawal import recording_output
-
-        if manifest is not None and ratings is None:
-            raise UsageError("--manifest needs --ratings; give both, or --ratings alone in a study")
-        if ratings is not None and manifest is None and not self.folder.settings.is_file():
-            raise UsageError(
-                "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
-            )
-        target = self.folder.report if out is None else as_path(out)
-        recording = recording_output(self.folder, "analyze", target, now=self.now)
-        with recording, follow(self.progress, "analyze") as step:
-            return analyze_study(
-                self.folder,
-                ratings=None if ratings is None else as_path(ratings),
-                manifest=None if manifest is None else as_path(manifest),
-                metrics=metrics or None,
-                draws=draws,
-                out=None if out is None else target,
-                progress=step,
-                finish=partial(write_methods, self.folder) if ratings is None else None,
-            )
-
-    def audit(self, *, remotes: Sequence[str] = (), expect: str = "") -> Audit:
-        """Verify plans, journals and stimuli; list every change.
-
-        Compares the journals with plans and tables, and the files with the checkpoints in .evidence and at its
-        remotes. What no checkpoint covers is not judged: recordings, personal answers, other results.
-
-        Example: feel321 audit my-study
-                 feel321 audit my-study --remote /media/usb/evidence.git
-                 feel321 audit my-study --expect 5f0c2a7e91d4
-
-        Parameters
-        ----------
-        remotes : sequence of str
-            A further git remote with checkpoints; repeatable.
-        expect : str
-            Fail without this checkpoint.
-        """
-        from feel321.study.auditing.study import examine
-
-        with follow(self.progress, "audit") as step:
-            return examine(self.folder, expect=expect, remotes=remotes, progress=step)
-
-    def seal(self, reason: str = "", *, to: str = "") -> Seal:
-        """Take a checkpoint of the study, and push it to its remotes.
-
-        A checkpoint is a commit in the git repository .evidence of the study: digests of its files, never their
-        contents. A remote that others cannot write to reveals every later change (feel321 audit); it may be a folder
-        that is not there yet, and is kept if it takes this checkpoint.
-
-        Example: feel321 seal my-study
-                 feel321 seal my-study --to /mnt/elsewhere/my-study.git
-                 feel321 seal my-study --reason "analysis.draws raised, as preregistered"
-
-        Parameters
-        ----------
-        reason : str
-            Why settings, texts or methods changed.
-        to : str
-            Git remote to push to from now on: a folder outside the study, or a URL.
-        """
-        from feel321.study.checkpoints import take_checkpoint
-
-        return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
 
     def power(  # noqa: PLR0913 - every choice that changes the answer has a name of its own
         self,
         *,
-        participants: Numbers = (),
-        recordings: Numbers = (),
-        reducers: Numbers = (),
-        repeats: Numbers = (),
-        effects: Mapping[str, float] | Sequence[str] = (),
-        pilot: str | None = None,
-        wanted: float = 0.8,
-        studies: int = 1000,
-        workers: int | Workers = 1,
-        seed: int | None = None,
-        out: PathLike | None = None,
+        participants: options.Numbers = (),
+        recordings: options.Numbers = (),
+        reducers: options.Numbers = (),
+        repeats: options.Numbers = (),
+        effects: options.Effects = (),
+        pilot: options.Pilot = None,
+        wanted: options.Power = 0.8,
+        studies: options.Studies = 1000,
+        workers: options.Crew = 1,
+        scheduler: options.Scheduler = "",
+        seed: options.WholeSeed = None,
+        out: options.Out = None,
     ) -> StudyPower:
         """Find how many participants, recordings and reducers a study needs.
 
@@ -303,14 +190,15 @@ class Study:
         studies : int
             Simulated studies of each checked design; 0: closed form only.
         workers : int or Workers
-            Number of processes, or who else does the work.
+            Number of processes.
+        scheduler : str
+            A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT.
         seed : int, optional
             Random seed; the study's by default.
         out : str or path, optional
             Where to, instead of power/.
         """
         from feel321.analysis.report.folder import check_target
-        from feel321.jobs import as_workers
         from feel321.study import power
         from feel321.study.analyze import measure_declared
         from feel321.study.persons.withdrawal import recording_output
@@ -334,10 +222,201 @@ class Study:
                 sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                workers=as_workers(workers),
+                workers=hire(workers, scheduler),
                 progress=step,
             )
             return replace(found, path=found.write(target).parent)
+
+    def freeze(self, *, show: bool = False) -> Outcome:
+        """Freeze hypotheses, design and analysis before the first session of a person.
+
+        Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
+        confirmatory or exploratory, and names every setting that was changed. It may be written again until a person's
+        session has begun. No rating is shown.
+
+        Example: feel321 freeze my-study
+                 feel321 freeze my-study --show
+
+        Parameters
+        ----------
+        show : bool
+            Only show what is frozen and what changed.
+        """
+        from feel321.study import freeze
+        from feel321.study.session.opening import FROZEN_FILE
+        from feel321.study.terminal import lay_facts
+
+        folder = self.folder
+        if show:
+            frozen = freeze.read_frozen(folder)
+            changes = freeze.list_changes(folder, self.settings, frozen) if frozen else {}
+        else:
+            frozen, changes = freeze.freeze_study(folder, now=self.now)
+        faults = freeze.find_faults(folder)
+        for fault in faults:
+            self.say(fault)
+        lines = [f"{folder.path}: nothing is frozen; before the first session: feel321 freeze"]
+        if frozen is not None:
+            lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
+        if frozen is not None and show:
+            own = {"hypotheses": frozen.hypotheses, "settings": frozen.settings}
+            lines += lay_facts(own)
+        if changes:
+            lines += ["changed:", *(f"  {one}" for one in changes.values())]
+        facts = {"frozen": frozen and asdict(frozen), "changes": [*changes.values()]}
+        return Outcome({**facts, "faults": faults}, lines)
+
+    def analyze(
+        self,
+        *,
+        ratings: options.File | None = None,
+        manifest: options.File | None = None,
+        out: options.Out = None,
+        metrics: options.Metrics = (),
+        draws: options.PythonOnly = None,
+    ) -> Results:
+        """Relate the ratings to the match metrics and write the report.
+
+        Writes index.html, results.json (every number of the page; --json prints it), tables/ and figures/ into
+        STUDY/report. Metrics, bootstrap draws and margin of equivalence are declared in study.toml, [analysis].
+
+        Example: feel321 analyze my-study
+                 feel321 analyze --ratings ratings.csv --manifest manifest.csv --out report
+                 feel321 analyze --ratings ratings.csv --manifest manifest.csv --metric roughness_match
+
+        Parameters
+        ----------
+        ratings : str or path, optional
+            Ratings from elsewhere; needs a manifest outside a study.
+        manifest : str or path, optional
+            The stimuli rated.  [default: the study's]
+        out : str or path, optional
+            Where to, instead of report/.
+        metrics : sequence of str
+            A numeric manifest column to analyze; repeatable.  [default: as declared]
+        draws : int, optional
+            Bootstrap draws per interval; as study.toml declares by default.
+        """
+        from feel321.study.analyze import analyze_study
+        from feel321.study.export.dataset import write_methods
+        from feel321.study.persons.withdrawal import recording_output
+
+        if manifest is not None and ratings is None:
+            raise UsageError("--manifest needs --ratings; give both, or --ratings alone in a study")
+        if ratings is not None and manifest is None and not self.folder.settings.is_file():
+            raise UsageError(
+                "--ratings needs the table of the stimuli that were rated: add --manifest FILE, or name the study first"
+            )
+        target = self.folder.report if out is None else as_path(out)
+        recording = recording_output(self.folder, "analyze", target, now=self.now)
+        with recording, follow(self.progress, "analyze") as step:
+            return analyze_study(
+                self.folder,
+                ratings=None if ratings is None else as_path(ratings),
+                manifest=None if manifest is None else as_path(manifest),
+                metrics=metrics or None,
+                draws=draws,
+                out=None if out is None else target,
+                progress=step,
+                finish=partial(write_methods, self.folder) if ratings is None else None,
+            )
+
+    def audit(
+        self,
+        *,
+        remotes: options.Remotes = (),
+        expect: options.Checkpoint = "",
+        rehearsals: bool = False,
+    ) -> Audit:
+        """Verify plans, journals and stimuli; list every change.
+
+        Compares the journals with plans and tables, and the files with the checkpoints in .evidence and at its
+        remotes. What no checkpoint covers is not judged: recordings, personal answers, other results.
+
+        Example: feel321 audit my-study
+                 feel321 audit my-study --remote /media/usb/evidence.git
+                 feel321 audit my-study --expect 5f0c2a7e91d4
+
+        Parameters
+        ----------
+        remotes : sequence of str
+            A further git remote with checkpoints; repeatable.
+        expect : str
+            Fail without this checkpoint.
+        rehearsals : bool
+            Rehearsals instead of sessions.
+        """
+        from feel321.study.auditing.study import examine
+
+        with follow(self.progress, "audit") as step:
+            return examine(self.choose(rehearsals), expect=expect, remotes=remotes, progress=step)
+
+    def seal(self, reason: str = "", *, to: options.Remote = "") -> Seal:
+        """Take a checkpoint of the study, and push it to its remotes.
+
+        A checkpoint is a commit in the git repository .evidence of the study: digests of its files, never their
+        contents. A remote that others cannot write to reveals every later change (feel321 audit); it may be a folder
+        that is not there yet, and is kept if it takes this checkpoint.
+
+        Example: feel321 seal my-study
+                 feel321 seal my-study --to /mnt/elsewhere/my-study.git
+                 feel321 seal my-study --reason "analysis.draws raised, as preregistered"
+
+        Parameters
+        ----------
+        reason : str
+            Why settings, texts or methods changed.
+        to : str
+            Git remote to push to from now on: a folder outside the study, or a URL.
+        """
+        from feel321.study.checkpoints import take_checkpoint
+
+        return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
+
+    def export(
+        self, target: options.Folder, *, simulated: bool = False, for_r: options.ForR = False
+    ) -> Outcome:
+        """Write a study's data for others, into the folder DIR.
+
+        Writes a BIDS dataset for a repository: participants get random numbers; answers to question pages, notes, days
+        and names of machines are left out. --r writes CSV files for R, JASP and jamovi, with the study's codes of
+        participants, and model.R, which fits the primary models with lme4.
+
+        Example: feel321 export my-study dataset
+                 feel321 export my-study for-r --r
+
+        Parameters
+        ----------
+        target : str or path
+            The folder to write.
+        simulated : bool
+            Simulated participants too, marked as such.
+        for_r : bool
+            Write for R and JASP instead.
+        """
+        from feel321.study.persons.withdrawal import recording_output
+
+        if for_r and simulated:
+            raise UsageError("--simulated is for BIDS; leave it out with --r")
+        path, notices = as_path(target), list[str]()
+        with recording_output(self.folder, "export", path, now=self.now):
+            if for_r:
+                from feel321.analysis.export import export_r
+
+                table, step = self.table(), "next, in that folder: Rscript model.R"
+                if "simulated" in table.rows and table.rows["simulated"].any():
+                    said = "ratings of simulated participants are among these"
+                    notices.append(f"{said}; see the column simulated")
+                export_r(table, path, rng=self.settings.study.seed)
+            else:
+                from feel321.study.export.dataset import export_bids
+
+                step = f"check it with: bids-validator-deno {path}"
+                notices += export_bids(self.folder, path, simulated=simulated)
+        for notice in notices:
+            self.say(notice)
+        facts = {"folder": str(path), "kind": "R" if for_r else "BIDS", "warnings": notices}
+        return Outcome(facts, [f"{path}: {step}"])
 
     @property
     def settings(self) -> Settings:
@@ -389,9 +468,3 @@ class Study:
     def __repr__(self) -> str:
         """Write what a user would write to open it."""
         return f"{type(self).__name__}.open({str(self.folder.path)!r})"
-
-    def _warn(self, message: str) -> None:
-        if self.warn is None:
-            warnings.warn(message, stacklevel=4)
-        else:
-            self.warn(message)

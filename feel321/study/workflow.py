@@ -4,6 +4,7 @@ import csv
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,17 +24,17 @@ from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.checkpoints import declaring
-from feel321.study.folder import SETTINGS_FILE, Problems, StudyFolder
+from feel321.study.folder import Problems, StudyFolder
 from feel321.study.minutes import measure_design
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
-from feel321.study.sessions import find_changes
+from feel321.study.sessions import find_changes, list_rig_problems
 from feel321.study.settings import read
 from feel321.study.settings.schema import Settings, count_groups
 
 Progress = Callable[[int, int], None]
-Seen = tuple[sets.Facts, NDArray[np.float64] | None]
-"""What one look at a recording gave, and the covariance of its axes."""
+Covariances = dict[str, NDArray[np.float64]]
+"""Recording -> covariance of its axes as they are felt, (3, 3)."""
 
 
 def build_study(
@@ -76,6 +77,22 @@ def _protect_used_set(study: StudyFolder, settings: Settings, recipe: Recipe) ->
 # Everything that stands in the way of a study, found in one go.
 
 
+def check_own_method(name: str, folder: Path, kind: str | None) -> Problems:
+    """Check whether a reducer or metric of the lab's own meets the requirements."""
+    from feel321.stimuli.conform import check_method
+
+    method = read.open_method(name, folder, kind)
+    found, subject = check_method(method), f"{method.kind} {method.name}"
+    failed = [f"FAILED  {one.check}: {one.text}" for one in found if not one.passed]
+    count = f"{len(failed)} of {len(found)} checks failed"
+    outcome = count if failed else f"all {len(found)} checks passed"
+    passed = [f"  ok  {one.check}: {one.text}" for one in found if one.passed]
+    facts = {"kind": method.kind, "name": method.name, **method.to_json()}
+    facts |= {"checks": found, "failed": len(failed)}
+    notes = (f"{subject}: {outcome}", *passed)
+    return Problems(tuple(failed), notes=notes, figures=facts, subject=subject)
+
+
 def check_study(
     study: StudyFolder, *, progress: Progress | None = None, now: Clock = utc_now
 ) -> Problems:
@@ -91,14 +108,17 @@ def check_study(
     except (TypeError, ValueError) as error:
         unusable = [f"{study.settings.name}: {error}"]
     own = None if unusable else recipe
-    seen, problems = _examine(study, settings, own, progress=progress)
-    facts = [one for one, _ in seen if not one.fault]
-    unread = [one.fault for one, _ in seen if one.fault]
+    seen, covariances, problems = _examine(study, settings, own, progress=progress)
+    facts = [one for one in seen if not one.fault]
+    unread = [one.fault for one in seen if one.fault]
     rig, rigged = _check_rig(study, settings, now=now)
     found = Problems()
     if own is not None and not (unread or problems):
         try:
-            found = _foresee(study, settings, seen, recipe=own, rig=rig)
+            found = _foresee(study, settings, seen, recipe=own)
+            if rig:
+                reach = strength.find_reach(rig, covariances, own)
+                found = reach.prefix(study.rig.name) + found
         except ValueError as error:
             found = Problems((str(error),))
     texts = _check_texts(study, settings)
@@ -108,10 +128,12 @@ def check_study(
     elif study.participants:
         lost = "missing, but sessions were run with it; put it back or build it again"
         problems.append(f"{study.stimuli}: {lost}")
-    further = () if problems else tuple(find_warnings(study, settings, facts))
     return Problems(
         problems=tuple(problems),
-        warnings=found.warnings + rigged.warnings + further,
+        warnings=(
+            *(found.warnings + rigged.warnings),
+            *([] if problems else find_warnings(study, settings, facts)),
+        ),
         notes=rigged.notes + found.notes,
         remarks=tuple(f"{one.name}: {text}" for one in facts for text in one.warnings),
         figures=found.figures,
@@ -132,62 +154,51 @@ def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
 
 def _examine(
     study: StudyFolder, settings: Settings, recipe: Recipe | None, *, progress: Progress | None
-) -> tuple[list[Seen], list[str]]:
+) -> tuple[list[sets.Facts], Covariances, list[str]]:
     """Read each recording once, and measure its stimuli as a build does; keep no samples."""
     history, count = sets.read_history(study.stimuli), len(settings.recordings)
-    seen: list[Seen] = []
-    faults: list[str] = []
+    seen, covariances, faults = list[sets.Facts](), Covariances(), list[str]()
     for done, (source, recording) in enumerate(read.try_recordings(settings, study.path), start=1):
         if isinstance(recording, str):
-            seen.append((sets.Facts(source.name, fault=recording), None))
-            continue
-        own, covariance = sets.Facts.find(recording), None
-        if recipe is not None:
+            own = sets.Facts(source.name, fault=recording)
+        elif recipe is None:
+            own = sets.Facts.find(recording)
+        else:
             known = history.get(source.name, ())
-            found = sets.survey_recording(recording, known, recipe=recipe)
-            faults += [found.fault] if found.fault else []
-            if not found.fault:
+            own = sets.survey_recording(recording, known, recipe=recipe)
+            if own.fault:
+                faults.append(own.fault)
+                own = sets.Facts.find(recording)
+            else:
                 felt = condition(recording, find_conditioning(recipe, source.name)).acceleration
-                own, covariance = found, np.asarray(np.einsum("in,jn->ij", felt, felt))
-        seen.append((own, covariance))
+                covariances[source.name] = np.asarray(np.einsum("in,jn->ij", felt, felt))
+        seen.append(own)
         if progress:
             progress(done, count)
-    return seen, faults
+    return seen, covariances, faults
 
 
 def _foresee(
-    study: StudyFolder, settings: Settings, seen: Sequence[Seen], *, recipe: Recipe, rig: Rig | None
+    study: StudyFolder, settings: Settings, seen: Sequence[sets.Facts], *, recipe: Recipe
 ) -> Problems:
-    """Find out how strong stimuli are, how long a session takes, and, with a rig, how it brings them to the hand."""
-    placed = sets.place_surveyed([one for one, _ in seen], recipe)
-    foreseen = [one for own in placed.values() for one in own]
-    is_built = study.manifest.exists()  # then its files are examined themselves
+    """Find out how strong stimuli are, and how long a session takes."""
+    foreseen = [one for own in sets.place_surveyed(seen, recipe).values() for one in own]
     found = strength.find_strength(settings, foreseen, recipe)
-    found += Problems(tuple([] if is_built else strength.find_clipping(foreseen, recipe)))
+    if not study.manifest.exists():  # else the files are examined themselves
+        found += Problems(tuple(strength.find_clipping(foreseen, recipe)))
     design, groups = _keep_choosing(read.make_design(settings))
     items = [
         Item(one.stimulus_id, one.recording, one.reducer, one.level, one.role) for one in foreseen
     ]
-    facts = [one for one, _ in seen if not one.fault]
-    crops = {one.name: find_conditioning(recipe, one.name).crop_s for one in facts}
+    crops = {one.name: find_conditioning(recipe, one.name).crop_s for one in seen}
     durations = {
-        one.name: crop[1] - crop[0] if (crop := crops[one.name]) else one.duration_s
-        for one in facts
+        one.name: crop[1] - crop[0] if (crop := crops[one.name]) else one.duration_s for one in seen
     }
     with suppress(ValueError):  # what keeps trials from being made is found by itself
         length = measure_design(design, items, durations=durations, groups=groups)
-        note = f"{SETTINGS_FILE}: {length.describe()}"
+        note = f"{study.settings.name}: {length.describe()}"
         found += Problems(notes=(note,), figures={"session": asdict(length)})
-    if rig is None:
-        return found
-    limits = [] if is_built else strength.find_rig_limits(rig, foreseen, recipe.reference)
-    covariances = {one.name: own for one, own in seen if not one.fault and own is not None}
-    reach = strength.find_reach(rig, covariances, recipe)
-    problems, warnings, notes = (
-        tuple(f"{study.rig.name}: {line}" for line in lines)
-        for lines in (limits, reach.warnings, reach.notes)
-    )
-    return Problems(notes=notes) + found + Problems(problems, warnings, figures=reach.figures)
+    return found
 
 
 def _keep_choosing(design: Design) -> tuple[Design, int]:
@@ -233,18 +244,18 @@ def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that the metrics that the analysis declares are numeric columns of the manifest, or computed by it."""
     from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
 
-    seen: dict[str, None] = {}
+    known: dict[str, None] = {}
     with intake.open_text(study.manifest) as file:
         for name, cell in (pair for row in csv.DictReader(file) for pair in row.items()):
             with suppress(ValueError):
                 float(cell)
-                seen[name] = None
-    for name in settings.analysis.metrics:
-        if name not in seen and name not in ROTATIONS:
-            yield (
-                f"{study.settings.name}: analysis.metrics must be numeric columns of {study.manifest}, or rotation "
-                f"statistics, got {name!r}; there are: {', '.join([*seen, *ROTATIONS])}"
-            )
+                known[name] = None
+    known |= dict.fromkeys(ROTATIONS)
+    for name in (one for one in settings.analysis.metrics if one not in known):
+        yield (
+            f"{study.settings.name}: analysis.metrics must be numeric columns of {study.manifest}, or rotation "
+            f"statistics, got {name!r}; there are: {', '.join(known)}"
+        )
 
 
 def _check_texts(study: StudyFolder, settings: Settings) -> Iterator[str]:
@@ -276,7 +287,6 @@ def _check_rig(
 ) -> tuple[Rig | None, Problems]:
     """Check the rig, where there is one, and the certificate that a session would use. An unusable rig is None."""
     from feel321.study.actuator.render import find_mix
-    from feel321.study.sessions import list_rig_problems
 
     if not study.rig.is_file():
         return None, Problems()
@@ -311,10 +321,10 @@ def find_warnings(
     study: StudyFolder, settings: Settings, recordings: Sequence[sets.Facts] = ()
 ) -> list[str]:
     """Find what is allowed in a study and still worth knowing."""
-    unused = [name for name in settings.tasks if name not in settings.session.protocols]
     remarks = [
         f"{study.settings.name}: tasks.{name}: has no effect, {name} is not in session.protocols; add it there"
-        for name in unused
+        for name in settings.tasks
+        if name not in settings.session.protocols
     ]
     remarks += sets.find_copies(recordings)
     remarks += [

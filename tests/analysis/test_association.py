@@ -8,8 +8,8 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from feel321.analysis.association.correlate import compare_metrics, correlate
-from feel321.analysis.resampling import METHODS, correlate_draws, draw_counts
+from feel321.analysis.association import compare_metrics, correlate
+from feel321.analysis.resampling import METHODS, Averages, draw_counts
 from feel321.analysis.table.items import make_items
 
 if TYPE_CHECKING:
@@ -188,7 +188,9 @@ def test_intervals_are_rebuilt_from_the_draws(
         counted, (min(people, scenes), people), intervals, strict=True
     ):
         z = np.arctanh(
-            correlate_draws(items, "pearson", participants=drawn[0], recordings=counts)[0]
+            Averages.of(items, drawn[0]).correlate(items, METHODS["pearson"], counts=(counts,))[0][
+                0
+            ]
         )
         margin = stats.t.ppf(0.975, units - 1) * math.sqrt(units / (units - 1)) * z.std(ddof=1)
         assert np.arctanh(interval) == pytest.approx(

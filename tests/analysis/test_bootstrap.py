@@ -10,8 +10,8 @@ from scipy import stats
 
 from feel321.analysis.resampling import (
     METHODS,
+    Averages,
     bootstrap_margin,
-    correlate_draws,
     draw_counts,
     weighted_pearson,
     weighted_ranks,
@@ -56,7 +56,7 @@ def test_draws_equal_a_loop_over_the_written_out_samples(method: str, missing: f
     rng = np.random.default_rng(11)
     items = make_items(rng, missing=missing)
     people, scenes = draw_counts(5, 60, rng=rng), draw_counts(4, 60, rng=rng)
-    fast = correlate_draws(items, method, participants=people, recordings=scenes)
+    (fast,) = Averages.of(items, people).correlate(items, METHODS[method], counts=(scenes,))
     slow = np.array([
         correlate_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
     ]).T
@@ -121,7 +121,8 @@ def test_within_averages_the_recordings_over_fishers_z(method: str) -> None:
         np.repeat([0, 1, 2], 20),
     )
     people, scenes = draw_counts(6, 40, rng=rng), draw_counts(3, 40, rng=rng)
-    fast = correlate_draws(items, method, participants=people, recordings=scenes)[0]
+    (fast,) = Averages.of(items, people).correlate(items, METHODS[method], counts=(scenes,))
+    fast = fast[0]
     slow = [
         correlate_within_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
     ]

@@ -12,7 +12,7 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis import export
-from feel321.analysis.primary.rcode import write_r_string
+from feel321.analysis.primary.model import write_r_string
 
 WITH_R = {
     # R 4.2.2, lme4 1.1-31, lmerTest 3.1-3: estimate, se, df.

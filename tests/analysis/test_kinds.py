@@ -109,7 +109,6 @@ def test_figures_are_saved_alike_and_are_as_wide_as_a_page(
     models = {"realism": fit_primary(rows, METRICS, explain=False)}
     odd = pd.DataFrame({"name": [LONG, "sure"], "value": [0.5, np.nan], "low": 0.1, "high": 0.9})
     drawings = {
-        "slopes": lambda: kinds.draw_slopes(models, {}),
         "residuals": lambda: kinds.draw_residuals(models),
         "abx": lambda: kinds.draw_estimates(odd, "d′"),
     }

@@ -60,7 +60,7 @@ def results(rows: pd.DataFrame, both: pd.DataFrame) -> dict[str, Result]:
         "bradley_terry": analysis.bradley_terry(
             pd.DataFrame({"winner": list("aabbcc"), "loser": list("bcacab")})
         ),
-        "space": analysis.fit_space(maps, draws=3),
+        "space": space.fit_space(maps, draws=3),
         "alignment": space.align_spaces(maps[0], maps[1], permutations=9),
     }
 

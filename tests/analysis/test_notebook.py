@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from feel321 import analysis, results, stimuli
-from feel321.analysis.association.correlate import correlate
+from feel321.analysis.association import correlate
 from feel321.analysis.contrasts import compare
 from feel321.analysis.report.reducers import compute_contrasts
 from feel321.analysis.report.section import find_row
@@ -58,7 +58,6 @@ def test_files_frames_and_a_folder_are_one_table(
 
 def test_a_table_has_the_shapes_that_others_take(realism: results.Table) -> None:
     assert realism.votes().shape == (36, 6)
-    assert len(realism.items()) == 48
     assert realism.to_frame().equals(realism.rows)
     assert realism.summary().startswith("576 judgements: 6 participants, 48 stimulus")
     assert len(repr(realism)) <= 200
@@ -84,15 +83,16 @@ def test_two_reducers_are_compared_as_the_report_compares_them(realism: results.
 
 
 def test_statistics_of_votes_take_a_table(realism: results.Table) -> None:
-    votes, metric = realism.votes(), realism.items().set_index("stimulus_id")["temporal_match"]
+    votes, facts = realism.votes(), realism.rows.drop_duplicates("stimulus_id")
+    facts = facts.set_index("stimulus_id")
     icc = analysis.intraclass(realism).to_dict()
     assert icc == pytest.approx(analysis.intraclass(votes).to_dict())
     assert analysis.noise_ceiling(realism) == pytest.approx(analysis.noise_ceiling(votes))
     alpha = analysis.krippendorff_alpha(votes)
     assert analysis.krippendorff_alpha(realism) == pytest.approx(alpha)
     judged = analysis.p1401(realism, "temporal_match", order=1, groups="recording")
-    recordings = realism.items().set_index("stimulus_id")["recording"][votes.index]
-    alone = analysis.p1401(votes, metric[votes.index], order=1, groups=recordings)
+    metric, recordings = (facts.loc[votes.index, name] for name in ("temporal_match", "recording"))
+    alone = analysis.p1401(votes, metric, order=1, groups=recordings)
     assert (judged.plcc, judged.rmse) == pytest.approx((alone.plcc, alone.rmse))
     rows = realism.rows[realism.rows["role"] == "test"]
     within = analysis.repeated_measures_correlation(realism, "temporal_match")
@@ -101,7 +101,7 @@ def test_statistics_of_votes_take_a_table(realism: results.Table) -> None:
     )
 
 
-def test_abx_and_dissimilarities_take_a_table(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_abx_takes_a_table(tidy: Callable[..., pd.DataFrame]) -> None:
     rows = tidy(scales=("abx",))
     answers = rows.assign(rating=np.where(np.arange(len(rows)) % 4, 100.0, 0.0))
     found = analysis.discriminate(answers)
@@ -110,19 +110,6 @@ def test_abx_and_dissimilarities_take_a_table(tidy: Callable[..., pd.DataFrame])
     row = found.set_index(["level", "reducer"]).loc[("as_is", "dft321")]
     assert (row["share"], row["n_trials"]) == (alone.share, alone.n_trials)
     assert "original" not in set(found["reducer"])
-    names = ["sax321", "mag321", "dft321", "pca321"]
-    apart = pd.DataFrame([
-        (who, one, two, 10.0 * abs(names.index(one) - names.index(two)))
-        for who in "pq" for one in names for two in names if one != two
-    ], columns=["participant", "reducer", "reference_reducer", "rating"]).assign(scale="dissimilarity")  # fmt: skip
-    space = analysis.fit_space(apart, draws=5)
-    assert space.names == ("sax321", "mag321", "pca321", "dft321")
-    assert list(space.to_frame()) == ["stimulus", "axis_1", "axis_2"]
-    assert space.ellipses.n_participants == 2
-    with pytest.raises(ValueError, match="dimensions must be 2 for ellipses, got 1"):
-        analysis.fit_space(apart, dimensions=1, draws=5)
-    with pytest.raises(ValueError, match="No judgement names two stimuli"):
-        analysis.fit_space(apart.assign(reference_reducer=""))
 
 
 def read_forest(axes: Axes) -> tuple[list[float], list[list[float]]]:
@@ -138,7 +125,9 @@ def test_plots_go_onto_the_axes_given(table: results.Table, realism: results.Tab
     analysis.plot_scatter(realism, "temporal_match", ax=axes[0])
     assert len(axes[0].get_legend().get_texts()) == 9
     drawn = np.sort(np.concatenate([line.get_xydata() for line in axes[0].get_lines()]), axis=0)
-    tests = realism.items().query("role == 'test'")[["temporal_match", "rating"]]
+    means = realism.votes().mean(axis=1).to_frame("rating")
+    metric = realism.rows.groupby("stimulus_id")["temporal_match"].first()
+    tests = means.assign(metric=metric)[["metric", "rating"]]
     np.testing.assert_allclose(drawn, np.sort(tests.to_numpy(), axis=0))
     analysis.plot_profile(table, ax=axes[1])
     assert len(axes[1].get_yticklabels()) == 12
@@ -168,11 +157,9 @@ def test_names_of_other_packages_are_repeated_rightly() -> None:
     assert set(schema.APART) <= scales
 
 
-def test_one_line_plots_what_has_one_obvious_plot(
-    table: results.Table, realism: results.Table
-) -> None:
+def test_correlations_are_plotted_beside_their_ceilings(realism: results.Table) -> None:
     found = pd.DataFrame([correlate(realism, name, draws=20) for name in realism.metrics])
-    axes = analysis.plot(found, ax=Figure().subplots())
+    axes = analysis.plot_correlations(found, ax=Figure().subplots())
     dots, bars = read_forest(axes)
     assert dots == list(found["value"])
     assert bars == found[["low", "high"]].to_numpy().tolist()
@@ -180,13 +167,5 @@ def test_one_line_plots_what_has_one_obvious_plot(
     np.testing.assert_array_equal([bar[0, 0] for bar in ceilings], found["ceiling"])
     labels = [label.get_text() for label in axes.get_yticklabels()]
     assert len(set(labels)) == len(found)
-    model = analysis.fit_primary(realism)
-    dots, _ = read_forest(analysis.plot(model, ax=Figure().subplots()))
-    assert dots == list(model.slopes["tenth"])
-    assert analysis.plot(table, ax=Figure().subplots()).get_xlabel() == "Rating"
     one = analysis.correlate(realism, "spectral_match", draws=20, rng=0)
-    assert analysis.plot(one, ax=Figure().subplots()).get_yticklabels()[0].get_text() != ""
-    scene = stimuli.make_scene("hard_taps", duration_s=0.1)
-    assert analysis.plot(scene, ax=Figure().subplots()).get_xlabel() == "Time (s)"
-    with pytest.raises(TypeError, match=r"result must be a Primary, .*; got int"):
-        analysis.plot(3)
+    assert analysis.plot_correlations(one, ax=Figure().subplots()).get_yticklabels()

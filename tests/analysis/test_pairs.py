@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.association.correlate import make_panel
+from feel321.analysis.association import make_panel
 from feel321.analysis.report.section import find_row
 from feel321.analysis.report.write import write_report
 from feel321.analysis.table.items import split_tests

@@ -21,12 +21,12 @@ import pytest
 from scipy.stats import binom
 
 from feel321.analysis.agreement import intraclass
-from feel321.analysis.association.correlate import compare_metrics, correlate
+from feel321.analysis.association import compare_metrics, correlate
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.contrasts.compare import equivalence, profile_reducers
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
-from feel321.analysis.resampling import METHODS, Draws, correlate_draws, fisher_z, measure_lean
+from feel321.analysis.resampling import METHODS, Averages, Draws, fisher_z, measure_lean
 from feel321.analysis.standard import compare_dependent, p1401, repeated_measures_correlation
 from feel321.analysis.table.items import Items
 
@@ -187,7 +187,8 @@ def find_z(study: Study, method: str) -> np.ndarray:
         study.recordings,
     )
     ones = np.ones((1, 1)), np.ones((1, items.n_recordings))
-    point = correlate_draws(items, method, participants=ones[0], recordings=ones[1])[:, 0]
+    (point,) = Averages.of(items, ones[0]).correlate(items, METHODS[method], counts=(ones[1],))
+    point = point[:, 0]
     each = np.broadcast_to(point[:, None], (2, items.n_recordings))
     none = np.empty((2, 0))
     # The interval within recordings is about the mean z less its lean, and so is this truth.

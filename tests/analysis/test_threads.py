@@ -8,35 +8,14 @@ import sys
 
 COUNT = """
 import scipy.linalg
-from threading import Event, Thread
 from concurrent.futures import ThreadPoolExecutor
 from threadpoolctl import threadpool_info
 from feel321.analysis.mixed.model import fit_mixed
-from feel321.analysis.mixed.optimum import hold_threads
 
 def count():
     return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
 
 before = count()
-"""
-
-OVERLAP = """
-entered, leave = [Event(), Event()], [Event(), Event()]
-
-def stay(number):
-    with hold_threads(10):
-        entered[number].set()
-        leave[number].wait(60)
-
-threads = [Thread(target=stay, args=[number]) for number in (0, 1)]
-for number in (0, 1):
-    threads[number].start()
-    entered[number].wait(60)
-during = count()
-for number in (0, 1):
-    leave[number].set()
-    threads[number].join()
-print(before, during, count(), sep=";")
 """
 
 POOL = """

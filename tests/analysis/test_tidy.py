@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.association.correlate import compare_metrics, correlate
+from feel321.analysis.association import compare_metrics, correlate
 from feel321.analysis.contrasts.compare import profile_reducers, stimulus_means
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.sensitivity import vary_primary

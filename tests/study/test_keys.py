@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from feel321.protocols.texts import list_languages, read_scales, read_texts
 from feel321.protocols.trial import Judgement, Part, Trial
 from feel321.study.actuator.rig import read_rig
-from feel321.study.keys import KEY_NAMES, USUAL, KeysTable, label_keys
+from feel321.study.keys import KEY_NAMES, USUAL, KeysTable
 from feel321.study.screen.input import Answer, InputEvent, make_screen_texts
 
 LIMITS = "[limits]\npeak_m_s2 = 100.0\nrms_m_s2 = 50.0\nduration_s = 30.0\n"
@@ -146,4 +146,4 @@ def test_the_same_keys_feel_and_move_in_every_task() -> None:
     box = KeysTable(play=("1", "2", "3"), left=("4",), right=("5",), type_values=False)
     assert press("rows", "2", box)["feels"] == "2"
     assert press("choice", "5", box)["values"] == {"x": "b"}
-    assert label_keys(box, read_texts()["keys"])["feel"] == "Tab 1–3  feel one"
+    assert make_screen_texts(read_texts(), box).keys["feel"] == "Tab 1–3  feel one"

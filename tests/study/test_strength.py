@@ -17,12 +17,10 @@ from feel321.stimuli.sets.render import Measured
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import write_wav
-from feel321.study.actuator.render import find_mix
-from feel321.study.actuator.rig import read_rig
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.settings.read import read_settings
-from feel321.study.strength import describe_built, find_rig_limits, find_strength
+from feel321.study.strength import describe_built, find_strength
 from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
@@ -102,8 +100,8 @@ def test_one_spike_costs_the_other_recordings_headroom(study: StudyFolder, capsy
         levels[gain] = json.loads(capsys.readouterr().out)
     (line,) = [line for line in levels["set"]["notes"] if line.startswith("headroom: ")]
     cost = float(line.split(" dB weaker")[0].rsplit(" ", 1)[1])
-    assert line.startswith("headroom: the peak of recording 'spike' (")
-    assert ") sets the gain; all other recordings are played " in line
+    said = "headroom: the peak of recording 'spike' sets the gain; all other recordings are played "
+    assert line.startswith(said)
     assert line.endswith('gain = "per_recording" avoids that')
     gained = {
         name: levels["per_recording"]["sensation_levels_db"][name]["contactor"][1]
@@ -151,17 +149,6 @@ def test_the_rig_is_compared_before_anything_is_built(tmp_path: Path) -> None:
         "reference reach the hand with equal energy (difference 0.0 dB)"
     )
     text = study.rig.read_text(encoding="utf-8")
-    study.rig.write_text(text.replace("peak_m_s2 = 100.0", "peak_m_s2 = 20.0"), encoding="utf-8")
-    problems = check_study(study).problems
-    assert [line.split(": ")[1] for line in problems] == [
-        "actuator 'left coil'",
-        "actuator 'right coil'",
-    ]
-    assert "above limits.peak_m_s2 of 20; lower gain or headroom" in problems[0]
-    study.rig.write_text(text.replace('"reduced", "y"', '"reduced"'), encoding="utf-8")
-    assert list(check_study(study).problems) == [
-        "rig.toml: no actuator plays y; add it to `plays`, or name a reference in study.toml that the rig can play"
-    ]
     study.rig.write_text(text.replace("[0, 1, 0]", "[-1, 0, 0]"), encoding="utf-8")
     (problem,) = check_study(study).problems
     assert problem.startswith(
@@ -182,16 +169,3 @@ def test_a_recording_that_is_raised_by_more_than_40_db_is_named_before_the_build
     foreseen = [replace(foresee(name), gain=gain) for name, gain in (("oak", 99.0), ("ash", 200.0))]
     (line,) = find_strength(read_settings(study.settings), foreseen, Recipe()).warnings
     assert line.startswith("ash: played 46 dB stronger than it was recorded")
-
-
-def test_peaks_of_reduced_stimuli_are_held_against_the_coils_up_to_rounding(tmp_path: Path) -> None:
-    rig = read_rig(create_study(tmp_path).rig)
-    most = 100 / find_mix(rig)["left coil"]["reduced"]
-    louder = foresee(reducer="original", peak_m_s2=500.0)  # checked once it is built
-    allowed = [louder, foresee(peak_m_s2=most * (1 + 1e-12))]
-    assert find_rig_limits(rig, allowed, "original") == []
-    lines = find_rig_limits(rig, [louder, foresee(peak_m_s2=1.01 * most)], "original")
-    assert [line.split(";")[0] for line in lines] == [
-        f"actuator '{name} coil': oak dft321 will ask for 101 m/s², above limits.peak_m_s2 of 100"
-        for name in ("left", "right")
-    ]

@@ -10,26 +10,19 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from feel321.analysis.figures import style
 from feel321.analysis.figures.style import Look
-from feel321.analysis.table.metrics import TENTH, Step, order_reducers
+from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import HIGHEST, LOWEST, ROLES
-from feel321.analysis.words import (
-    capitalise,
-    format_axis,
-    format_interval,
-    format_name,
-    format_number,
-)
+from feel321.analysis.words import format_axis, format_interval, format_name, format_number
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from pandas import DataFrame, Series
+    from pandas import DataFrame
 
-    from feel321.analysis.association.correlate import Panel
+    from feel321.analysis.association import Panel
     from feel321.analysis.primary.model import Primary
     from feel321.records import Statistic
 
@@ -165,30 +158,7 @@ def draw_estimates(  # noqa: PLR0913 - what a forest may have, by name
     return figure
 
 
-def list_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> DataFrame:
-    """List the slopes of primary models: a heading per model, a row per metric."""
-    several, rows = len({step.per for step in steps.values()}) > 1, []
-    for attribute, model in models.items():
-        for row in model.slopes.reset_index().to_dict("records"):
-            metric = str(row["metric"])
-            step = steps.get(metric, Step())
-            share = step.size / TENTH
-            rows.append({
-                "attribute": format_name(attribute), "name": format_name(metric) + f", per {step.per}" * several,
-                "metric": metric, "filled": not model.fit.singular, "value": row["tenth"] * share,
-                "low": row["tenth_low"] * share, "high": row["tenth_high"] * share,
-            })  # fmt: skip
-    return pd.DataFrame(rows)
-
-
-def draw_slopes(models: Mapping[str, Primary], steps: Mapping[str, Step]) -> Figure:
-    """Draw the slopes of the primary model per attribute and metric, points per step with Satterthwaite intervals."""
-    per = {step.per for step in steps.values()}
-    label = f"Points of rating per {per.pop() if len(per) == 1 else 'step'} of metric"
-    return draw_estimates(list_slopes(models, steps), label, series="metric", heading="attribute")
-
-
-# Scatter: stimuli as points, their ratings against a metric, delivered against intended, residuals.
+# Scatter: stimuli as points, their ratings against a metric; residuals.
 
 CUT = -1.0
 """Values of eq. 1 below this are drawn at the edge: one spectral match of -30 would squeeze all others together."""
@@ -245,35 +215,6 @@ def draw_scatters(
         for axes in grid[-1]:
             axes.set_xlabel(style.fit_text(axes.get_xlabel(), style.WIDTH_CM / len(metrics) - 1))
         style.add_legend(figure, {name: shown[name] for name in looks if name in shown})
-    return figure
-
-
-def draw_delivered(items: DataFrame, metrics: Sequence[str], errors_db: Series) -> Figure:
-    """Draw each metric delivered against intended, and the level errors.
-
-    items: a row per stimulus with `reducer`, the metrics, and those with the suffix `_delivered`.
-    """
-    n_panels = len(metrics) + bool(len(errors_db))
-    looks, shown = style.assign_looks(order_reducers(items["reducer"].unique())), dict[str, Any]()
-    with style.print_style():
-        figure = style.new_canvas(1.0 + CELL_CM * -(-n_panels // 2))
-        panels = figure.subplots(-(-n_panels // 2), 2, squeeze=False).ravel()
-        for axes, metric in zip(panels, metrics, strict=False):
-            values = items[[metric, f"{metric}_delivered"]].clip(lower=CUT)
-            for name, look in looks.items():
-                own = values[items["reducer"] == name].to_numpy(np.float64)
-                shown[name] = style.plot_marks(axes, own[:, 0], own[:, 1], look=look)
-            low = min(0.0, float(values.to_numpy().min())) - 0.05
-            axes.plot([low, 1.05], [low, 1.05], color=style.GREY, linewidth=0.8, zorder=1)
-            axes.set(xlim=(low, 1.05), ylim=(low, 1.05), xlabel="Intended", ylabel="Delivered")
-            axes.set_title(capitalise(format_name(metric)))
-        if len(errors_db):
-            axes, reach = panels[len(metrics)], max(float(np.abs(errors_db).max()), 0.5)
-            axes.hist(errors_db, bins=np.linspace(-reach, reach, 25).tolist(), color=style.GREY)
-            axes.set(xlabel="Level error (dB)", ylabel="Judgements", title="Level")
-        for axes in panels[n_panels:]:
-            axes.remove()
-        style.add_legend(figure, shown)
     return figure
 
 
@@ -393,8 +334,10 @@ def draw_space(space: Statistic, names: Sequence[str]) -> Figure:
             fill: dict[str, Any] = {"facecolor": look.colour, "alpha": 0.15, "linewidth": 0}
             axes.add_patch(Ellipse(tuple(place), *(2 * half), angle=float(angle), **fill))
             style.plot_marks(axes, place[0], place[1], look=look, size=9.0 if look == STAR else 4.5)
-        unit = "unit of dissimilarity"
-        axes.set(xlabel=f"Dimension 1 ({unit})", ylabel=f"Dimension 2 ({unit})")
+        axes.set(
+            xlabel="Dimension 1 (unit of dissimilarity)",
+            ylabel="Dimension 2 (unit of dissimilarity)",
+        )
         axes.autoscale_view()
         axes.set_aspect("equal", adjustable="datalim")
         stress, people = space.stress, ellipses.n_participants

@@ -33,8 +33,7 @@ UNREAD = r"[|]|~.*~|(offset|weights)\s*\(|(^|[~\s])\.(\s|$)"
 DEPENDENT = 1e-9
 """Share of a column's length left over beside the others, below which it is their sum but for rounding."""
 
-FLAT = 1e-12
-"""Share of a response's size below which what the fixed effects leave over is rounding."""
+FLAT = 1e-12  # Share of a response's size below which what the fixed effects leave over is rounding
 
 
 class Columns(NamedTuple):

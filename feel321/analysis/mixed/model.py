@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 NEAR, STEPS = 1e-5, 3
 """A step of a spread after which second derivatives are computed anew, and Newton's steps at most."""
 
-BOUND = 1 - 1e-6
-"""A correlation beyond this is one of ±1 but for rounding."""
+BOUND = 1 - 1e-6  # A correlation beyond this is one of ±1 but for rounding
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,8 +155,7 @@ def fit_mixed(
     data : DataFrame
         One row per observation, no gaps in the columns used.
     reml : bool
-        Restricted maximum likelihood, right for everything but the comparison of models with different fixed
-        parts, for which give False.
+        Restricted maximum likelihood; False to compare models with different fixed parts.
     penalty : sequence of str
         Grouping factors whose spreads are kept away from zero, such as those with few levels.
 
@@ -179,16 +177,14 @@ def fit_mixed(
 
     Notes
     -----
-    Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). A person's slope
-    belongs into the brackets whenever the claim is about people in general. Do not use it for grouping factors of two
-    or three levels if their spread is the question, nor for ratings piled up at the ends of the scale.
+    Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). Do not use it for
+    grouping factors of two or three levels if their spread is the question, nor for ratings piled up at the ends of the
+    scale. The deviance is profiled and minimised over relative spreads (Bates et al. 2015); degrees of freedom are
+    Satterthwaite's, as in lmerTest; R² is Nakagawa's and Schielzeth's with Johnson's extension to slopes.
 
-    The deviance is profiled and minimised over relative spreads (Bates et al. 2015) with its exact slope;
-    degrees of freedom are Satterthwaite's, as in lmerTest. With few levels a spread is often estimated as zero when it
-    is only unknown; for the factors named in `penalty`, -2 log of the spread is added to the deviance (Chung et al.
-    2013). It enters the degrees of freedom too, not the criterion. A spread of zero (a singular fit) is normal in
-    small studies: it stays in the model as zero, and the notes say so. R² is Nakagawa's and Schielzeth's with
-    Johnson's extension to slopes.
+    With few levels a spread is often estimated as zero when it is only unknown; for the factors named in `penalty`,
+    -2 log of the spread is added to the deviance (Chung et al. 2013). A spread of zero (a singular fit) is normal in
+    small studies: it stays in the model as zero, and the notes say so.
 
     References
     ----------

@@ -40,20 +40,14 @@ LARGE = 600
 HELD = Lock()
 """Taken by whoever set the limit of threads, which holds for the whole process; others leave it alone."""
 
-ZERO = 1e-4
-"""A relative spread below this is none: what lme4 calls singular."""
-
-LARGEST = 1e5
-"""A spread so many times the residual means that there is no residual."""
-
+ZERO = 1e-4  # A relative spread below this is none: what lme4 calls singular
+LARGEST = 1e5  # A spread so many times the residual means that there is no residual
 PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
 
 STEP = 1e-4
 """Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
 
-FLAT = 1e-8
-"""Curvature below this carries no information: a spread at its boundary."""
-
+FLAT = 1e-8  # Curvature below this carries no information: a spread at its boundary
 POLISH, ROUNDING = 0.1, 1e-6
 """Longest step, in units of a spread, that Newton's method may take from where the search stopped; what a deviance of
 some thousands is known to."""

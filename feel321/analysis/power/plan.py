@@ -166,57 +166,61 @@ def plan_power(
         return math.isnan(power), power
 
     aim = min(aims, key=find_weakness)
-    rows = _compute_designs(design, sizes, aim)
-    allowed = set(sizes.get("participants", ())) or {one.participants for one, _ in rows}
-    left = [
-        (one, row)
-        for one, row in rows
-        if row["power"] >= one.wanted and one.participants in allowed
-    ]
-
-    def rank(found: tuple[PowerDesign, Mapping[str, Any]]) -> tuple[int, int, int]:
-        one = found[0]
-        changed = sum(one.sizes[name] != design.sizes[name] for name in SIZES[1:])
-        return changed, one.trials * one.participants, one.participants
-
-    left.sort(key=rank)
-    runs: dict[tuple[int, ...], Power] = {}
-
-    def run(one: PowerDesign) -> Power:
-        key = tuple(one.sizes.values())
-        if key not in runs:
-            runs[key] = find_power(one, simulate)
-        return runs[key]
-
-    run(design)
-    most, chosen = math.inf, None
+    designs, table = _tabulate_designs(design, sizes, aim)
+    ranked = table.assign(
+        changed=sum((table[name] != design.sizes[name]).astype(int) for name in SIZES[1:]),
+        cost=table["trials"] * table["participants"],
+    ).sort_values(["changed", "cost", "participants"], kind="stable")
+    named = sizes.get("participants") or table["participants"]
+    left = list(ranked.index[ranked["enough"] & ranked["participants"].isin(named)])
+    detectable = table["detectable"].to_dict()
+    powers, most, chosen = [find_power(design, simulate)], math.inf, None
     for _ in range(TRIED):
         if not left:
             break
-        strongest = min(left, key=lambda found: found[1]["detectable"])
-        one, row = next((each for each in left if each[1]["detectable"] <= most), strongest)
-        if not run(one).is_refuted(aim):
-            chosen = one
+        strongest = min(left, key=lambda place: detectable[place])
+        place = next((one for one in left if detectable[one] <= most), strongest)
+        known = (one for one in powers if one.design.sizes == designs[place].sizes)
+        power = next(known, None) or find_power(designs[place], simulate)
+        powers += [] if power in powers else [power]
+        if not power.is_refuted(aim):
+            chosen = place
             break
-        left = [each for each in left if each[1]["detectable"] < row["detectable"]]
-        most = row["detectable"] * STEP
-    return _conclude(rows, tuple(runs.values()), aim=aim, chosen=chosen)
+        left = [one for one in left if detectable[one] < detectable[place]]
+        most = detectable[place] * STEP
+    runs = pd.DataFrame([
+        one.design.sizes | {"refuted": one.is_refuted(aim)} | one.table[list(SIMULATED)].loc[aim].to_dict()
+        for one in powers
+    ])  # fmt: skip
+    table = table.merge(runs, how="left", on=list(SIZES))
+    table["refuted"] = table["refuted"].eq(True)  # noqa: FBT003 - what was not simulated is not refuted
+    table["recommended"] = table.index == (-1 if chosen is None else chosen)
+    notes = [note for power in powers for note in power.notes]
+    metric = design.metrics.index(design.hypotheses[aim][1])
+    return PowerPlan(
+        table=table, powers=tuple(powers), hypothesis=design.hypotheses[aim],
+        recommended=None if chosen is None else designs[chosen], verdict=_judge(table, powers[0], aim),
+        lack=forms[metric].find_lack(), notes=tuple(dict.fromkeys([*notes, *_note_refuted(table)])),
+    )  # fmt: skip
 
 
-def _compute_designs(
+def _tabulate_designs(
     design: PowerDesign, sizes: Mapping[str, Sequence[int]], aim: int
-) -> list[tuple[PowerDesign, dict[str, Any]]]:
+) -> tuple[list[PowerDesign], DataFrame]:
     """Compute designs in closed form; the first with its recordings, reducers and repeats, with fewest people too."""
     attribute, metric = design.hypotheses[aim]
     slope, place = design.truth.find_slope(attribute, metric), design.metrics.index(metric)
-    rows: list[tuple[PowerDesign, dict[str, Any]]] = []
+    designs: list[PowerDesign] = []
+    rows: list[dict[str, Any]] = []
 
     def compute(one: PowerDesign, kind: str) -> ClosedForm:
         form = ClosedForm(one, place)
-        rows.append((one, {
-            **one.sizes, "trials": one.trials, "kind": kind, "power": form.find_power(slope),
-            "ceiling": form.find_ceiling(slope), "detectable": form.find_detectable(), "width": form.find_width(),
-        }))  # fmt: skip
+        power = form.find_power(slope)
+        designs.append(one)
+        rows.append({
+            **one.sizes, "trials": one.trials, "kind": kind, "power": power, "ceiling": form.find_ceiling(slope),
+            "detectable": form.find_detectable(), "width": form.find_width(), "enough": power >= one.wanted,
+        })  # fmt: skip
         return form
 
     known: set[tuple[int, ...]] = set()
@@ -228,7 +232,7 @@ def _compute_designs(
         number = form.find_participants(slope)
         if math.isfinite(number) and number != one.participants:
             compute(replace(one, participants=int(number)), "smallest")
-    return rows
+    return designs, pd.DataFrame(rows)
 
 
 def _list_designs(
@@ -253,48 +257,27 @@ def _list_designs(
             yield kind, other
 
 
-def _conclude(
-    rows: Sequence[tuple[PowerDesign, Mapping[str, Any]]],
-    powers: tuple[Power, ...],
-    *,
-    aim: int,
-    chosen: PowerDesign | None,
-) -> PowerPlan:
-    """Put what was simulated beside the closed form, and say why no design is enough where none is."""
-    first, notes = powers[0], [note for power in powers for note in power.notes]
-    runs = {tuple(power.design.sizes.values()): power for power in powers}
-    listed = []
-    for design, row in rows:
-        power, enough = runs.get(tuple(design.sizes.values())), row["power"] >= design.wanted
-        found = dict.fromkeys(SIMULATED, math.nan)
-        if power:
-            found = {name: float(power.table[name].iloc[aim]) for name in SIMULATED}
-        refuted = power is not None and power.is_refuted(aim)
-        judged = {"enough": enough, "refuted": refuted, "recommended": design is chosen}
-        listed.append({**row, **found, **judged})
-        if enough and refuted:
-            units = describe_units(design.recordings, design.reducers)
-            share = format_power(found["simulated"]).replace("not estimable", "no test")
-            notes.append(
-                f"Simulation contradicts the closed form of {design.participants} participants, {units}: "
-                f"{format_power(row['power'])} in closed form, {share} in simulated studies."
-            )
-    table = pd.DataFrame(listed)
+def _judge(table: DataFrame, given: Power, aim: int) -> str:
+    """Say whether a design is enough, or why none is."""
     verdicts = {
-        ENOUGH: chosen is not None,
-        NOTHING: not first.table["slope"].iloc[aim],
+        ENOUGH: table["recommended"].any(),
+        NOTHING: not given.table["slope"].iloc[aim],
         UNTESTABLE: table["power"].isna().all(),
         REFUTED: (table["enough"] & table["refuted"]).any(),
-        SMALL: table["ceiling"].max() >= first.design.wanted,
+        SMALL: table["ceiling"].max() >= given.design.wanted,
         CEILING: True,
     }
-    metric = first.design.hypotheses[aim][1]
-    return PowerPlan(
-        table=table, powers=powers, hypothesis=first.design.hypotheses[aim], recommended=chosen,
-        verdict=next(one for one, holds in verdicts.items() if holds),
-        lack=ClosedForm(first.design, first.design.metrics.index(metric)).find_lack(),
-        notes=tuple(dict.fromkeys(notes)),
-    )  # fmt: skip
+    return next(one for one, holds in verdicts.items() if holds)
+
+
+def _note_refuted(table: DataFrame) -> Iterator[str]:
+    for row in table[table["enough"] & table["refuted"]].to_dict("records"):
+        units = describe_units(row["recordings"], row["reducers"])
+        share = format_power(row["simulated"]).replace("not estimable", "no test")
+        yield (
+            f"Simulation contradicts the closed form of {row['participants']} participants, {units}: "
+            f"{format_power(row['power'])} in closed form, {share} in simulated studies."
+        )
 
 
 def format_power(power: float) -> str:

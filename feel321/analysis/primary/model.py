@@ -9,7 +9,7 @@ each time in words; never because a test says that a spread may be zero.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -165,12 +165,11 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     terms a recording whose slope is steep by chance, or a reducer that feels odd everywhere, counts as evidence of as
     many stimuli. Where fewer than 8 reducers were rated, their spread gets the penalty of Chung et al. (2013).
 
-    What loses energy matches worse and is weaker. Where the rows have every stimulus's level (``sensation_level_db``,
-    else ``rms_m_s2``, else ``level_difference``), it is in the model, within recordings: ``level_db``, no hypothesis.
+    What loses energy matches worse and is weaker: the level of stimuli (``sensation_level_db``, else ``rms_m_s2``, else
+    ``level_difference``) is in the model where each has one, within recordings: ``level_db``, no hypothesis.
 
     Where several recordings come from one source, slopes differ between sources: ``(1 | recording) + (1 + a_w + b_w ||
-    source) + (1 | source:reducer)``. Turned copies of a recording, reduced alike, are felt nearly alike: without the
-    last term each copy would count as evidence of its own.
+    source) + (1 | source:reducer)``, or each turned copy of a recording would count as evidence of its own.
 
     Below 3 participants, 3 recordings (or sources of them) or 2 degrees of freedom a slope is not estimable: nothing
     then says how people, recordings or reducers differ.
@@ -268,9 +267,8 @@ def fit_attributes(
     several = attribute is None and "level" in rows and len(rows["level"].unique()) > 1
     columns = [attribute or "scale", *(["level"] if several else [])]
     if columns[0] not in rows:
-        raise ValueError(
-            f"rows must have a column that names the attribute, got no column {columns[0]!r}; name it with attribute="
-        )
+        got = f"got no column {columns[0]!r}; name it with attribute="
+        raise ValueError(f"rows must have a column that names the attribute, {got}")
     groups = rows.groupby(columns, observed=True, sort=True)
     models = {", ".join(map(str, key)): fit_primary(part, names) for key, part in groups}
     return Primaries("Primaries", **models)
@@ -307,7 +305,7 @@ def adjust_holm(p: Sequence[float]) -> list[float]:
 
 def _find_lack(cells: Cells) -> str:
     """Describe what the design has too little of for any interval; empty where nothing is lacking."""
-    sizes = {"participant": cells.count(WHO), SOURCE if cells.shared else SCENE: cells.n_sources}
+    sizes = {WHO: cells.count(WHO), SOURCE if cells.shared else SCENE: cells.n_sources}
     sizes |= {REDUCER: cells.count(REDUCER)} if REDUCER in cells.table else {}
     few = [f"{count} {name}{'s' * (count > 1)}" for name, count in sizes.items() if count < FEWEST]
     return f"with {' and '.join(few)}, where {FEWEST} are needed" if few else ""
@@ -332,13 +330,11 @@ def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
     for name, scale in _find_scales(cells, terms).items():
         span = float(np.subtract(*np.percentile(items[f"{name}_w"], [75, 25])))
         row = _blank(solved.estimate({f"{name}_w": 1.0}), lack=lack)
-        for key, prefix, unit in (
-            ("quartile_effect", "quartile", span),
-            ("tenth", "tenth", TENTH),
-            ("standardised", "standardised", scale),
-        ):
-            ends = {f"{prefix}_low": row["low"] * unit, f"{prefix}_high": row["high"] * unit}
-            row |= {key: row["estimate"] * unit, **ends}
+        units = {"quartile": span, "tenth": TENTH, "standardised": scale}
+        for prefix, unit in units.items():
+            key = "quartile_effect" if prefix == "quartile" else prefix
+            row[key] = row["estimate"] * unit
+            row |= {f"{prefix}_{end}": row[end] * unit for end in ("low", "high")}
         rows[name] = row | {"quartile_span": span, "estimable": bool(np.isfinite(row["se"]))}
     return pd.DataFrame.from_dict(rows, orient="index").rename_axis("metric")
 
@@ -348,10 +344,8 @@ def _tabulate_differences(found: Slopes) -> DataFrame:
     scales = _find_scales(found.cells, found.terms)
     for first, second in combinations(scales, 2):
         row: dict[str, object] = {"first": first, "second": second}
-        for prefix, one, other in (
-            ("", 1.0, 1.0),
-            ("standardised_", scales[first], scales[second]),
-        ):
+        both = {"": (1.0, 1.0), "standardised_": (scales[first], scales[second])}
+        for prefix, (one, other) in both.items():
             estimate = found.solved.estimate({f"{first}_w": one, f"{second}_w": -other})
             blanked = _blank(estimate, lack=lack)
             row |= {f"{prefix}{name}": value for name, value in blanked.items()}
@@ -379,38 +373,78 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]
 
 
 def _explain_items(found: Slopes) -> tuple[float, list[str]]:
-    """Compare the spread between stimuli with that of a model without metrics."""
-    terms = found.terms
+    """Compare what makes stimuli of a recording differ, for everyone, with that of a model without metrics."""
+
+    def add_variances(solved: Solved) -> float:
+        spreads = solved.list_spreads()
+        return float(sum(own[0, 0] for group, _, own in spreads if group in {ITEM, REDUCER, ALIKE}))
+
+    terms, none = found.terms, "No share of explained spread between stimuli"
     if f"(1 | {ITEM})" not in terms.random:
-        return NONE, ["No share of explained spread between stimuli: the model has no such spread."]
+        return NONE, [f"{none}: the model has no such spread."]
     groups = [f"(1 | {term.split('|')[-1].strip(' )')})" for term in terms.random]
     empty = build_design(" + ".join([f"{RATING} ~ 1", *groups]), found.cells.table)
-    before = _add_item_variances(solve_design(empty, penalty=terms.penalty))
+    before = add_variances(solve_design(empty, penalty=terms.penalty))
     if before == 0:
-        return NONE, ["No share of explained spread between stimuli: without metrics none is seen."]
-    return 1 - _add_item_variances(found.solved) / before, []
-
-
-def _add_item_variances(solved: Solved) -> float:
-    """Add up what makes stimuli of a recording differ, for everyone: stimuli, reducers, and what a source shares."""
-    spreads = solved.list_spreads()
-    return float(sum(part[0, 0] for group, _, part in spreads if group in {ITEM, REDUCER, ALIKE}))
+        return NONE, [f"{none}: without metrics none is seen."]
+    return 1 - add_variances(found.solved) / before, []
 
 
 def _note_limits(found: Slopes, lack: str) -> Iterator[str]:
     """Say of what there is little, where that limits degrees of freedom, and which slopes are not estimable."""
     cells, limit = found.cells, found.terms.most_df
     scenes = "sources" if cells.shared else "recordings"
-    for name, count in (
-        ("participants", cells.count(WHO)),
-        ("sources of recordings" if cells.shared else scenes, cells.n_sources),
-        ("reducers", cells.count(REDUCER)),
-    ):
-        if 1 < count < FEW:
-            yield f"{count} {name} only: the spread between them is all but unknown, intervals are wide or unstable."
+    sizes = {
+        "participants": cells.count(WHO),
+        "sources of recordings" if cells.shared else scenes: cells.n_sources,
+        "reducers": cells.count(REDUCER),
+    }
+    for name in (name for name, count in sizes.items() if 1 < count < FEW):
+        unknown = "the spread between them is all but unknown, intervals are wide or unstable"
+        yield f"{sizes[name]} {name} only: {unknown}."
     if (found.table["df"] >= limit).any():
         few = f"Slopes seem to differ little between {cells.n_sources} {scenes}, which so few do not show"
         yield f"{few}: intervals are widened to at most {limit:g} degrees of freedom."
     for name in found.table.index[~found.table["estimable"]]:
         few = f"with fewer than {FEWEST_DF:g} degrees of freedom"
         yield f"The slope of {name} is not estimable {lack or few}: it has no test and no interval."
+
+
+# The model as code for R: the formula of lme4, and the penalty that lme4 does not have.
+
+PENALISED = """\
+# Few reducers: their spread would often be estimated as 0 when it is only unknown. As feel321 does, -2 log(SD of the
+# group) is added to the REML criterion (Chung et al. 2013, doi:10.1007/s11336-013-9328-2), which lme4 cannot.
+lmer_penalised <- function(formula, data, group) {
+  parts <- lFormula(formula, data = data, REML = TRUE)      # the model's matrices
+  criterion <- do.call(mkLmerDevfun, parts)                 # REML criterion by relative spreads (theta)
+  state <- environment(criterion)
+  place <- which(names(parts$reTrms$cnms) == group)         # one theta per term: effects are uncorrelated
+  objective <- function(theta) {
+    value <- criterion(theta)
+    value - log(state$resp$wrss() + state$pp$sqrL(1)) - 2 * log(theta[place])
+  }
+  lower <- parts$reTrms$lower
+  lower[place] <- 1e-6
+  best <- minqa::bobyqa(parts$reTrms$theta, objective, lower = lower, control = list(rhoend = 1e-8, maxfun = 1e5))
+  value <- criterion(best$par)
+  found <- list(par = best$par, fval = value, feval = best$feval, conv = 0)
+  mkMerMod(state, found, parts$reTrms, parts$fr)
+}
+"""
+
+
+def write_r_string(text: str) -> str:
+    """Quote text for R, in ASCII."""
+    quoted = text.replace("\\", "\\\\").replace('"', '\\"')
+    letters = (c if c.isascii() and c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
+    return f'"{"".join(letters)}"'.replace("\\U0000", "\\u")
+
+
+def write_fit(formula: str, data: str, *, penalty: Iterable[str] = ()) -> str:
+    """Write the line that fits a model; `PENALISED` must stand before it where a spread is penalised."""
+    if groups := ", ".join(map(write_r_string, penalty)):
+        return f"lmer_penalised({formula}, {data}, {groups})"
+    # lme4's defaults stop at 1e-4 or so of a standard error; these limits take a moment longer.
+    control = 'lmerControl("bobyqa", optCtrl = list(rhoend = 1e-8, maxfun = 1e5))'
+    return f"lmer({formula}, data = {data}, REML = TRUE, control = {control})"

@@ -12,6 +12,7 @@ each counted once however often it was rated, so that nothing left out comes bac
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -30,7 +31,7 @@ from feel321.analysis.table.items import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping
 
     from numpy.typing import NDArray
     from pandas import DataFrame
@@ -44,22 +45,14 @@ KEYS = (WHO, SCENE, ITEM)
 ALIKE = f"{SOURCE}:{REDUCER}"
 """Stimuli of one source that were reduced alike."""
 
-LEVEL = "level_db"
-"""Level of a stimulus less the mean of its recording's: a term of the model, and no hypothesis."""
-
+LEVEL = "level_db"  # Level of a stimulus less the mean of its recording's: a term of the model, and no hypothesis
 AMPLITUDE = "rms_m_s2"
 LEVELS = ("sensation_level_db", AMPLITUDE, "level_difference")
 """Columns that hold the level of a stimulus, the best first: over threshold, amplitude, from its recording."""
 
-LEAST_DB = 0.5
-"""Levels within recordings that differ by less are alike: nobody feels it."""
-
-FLAT = 1e-10
-"""Share of a metric's size below which its spread is rounding."""
-
-DEPENDENT = 1e-8
-"""Share of a column's spread below which what others leave of it is rounding."""
-
+LEAST_DB = 0.5  # Levels within recordings that differ by less are alike: nobody feels it
+FLAT = 1e-10  # Share of a metric's size below which its spread is rounding
+DEPENDENT = 1e-8  # Share of a column's spread below which what others leave of it is rounding
 MOST_LEVELS = 800
 """Levels beside those of participant x item up to which single ratings are fitted; the time grows with their cube."""
 
@@ -141,23 +134,20 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     """
     names = choose_metrics(rows, metrics)
     rows, notes = select_rows(rows)
-    wanted, known = [*KEYS, RATING, *names], [name for name in (REDUCER,) if name in rows]
-    check_columns(rows, wanted, "rows")
+    check_columns(rows, [*KEYS, RATING, *names], "rows")
     refuse_pooled(rows, metrics=names, what="rows")
     numbers = {name: read_numbers(rows[name], what=f"rows, {name!r}") for name in (RATING, *names)}
     for name, values in numbers.items():
         if bad := int((~np.isfinite(values)).sum()):
-            raise ValueError(
-                f"rows must have finite numbers, got {bad} values of {name!r} not finite; leave such rows out"
-            )
+            got = f"got {bad} values of {name!r} not finite; leave such rows out"
+            raise ValueError(f"rows must have finite numbers, {got}")
     if rows[list(KEYS)].isna().any(axis=None):
-        raise ValueError(
-            "rows must be complete, got one without participant, recording or item; leave it out"
-        )
+        got = "got one without participant, recording or item; leave it out"
+        raise ValueError(f"rows must be complete, {got}")
     # Names as categories, whose every use costs less.
-    rows = rows.assign(
-        **numbers, **{name: rows[name].astype("category") for name in (*KEYS, *known)}
-    )
+    known = [name for name in (REDUCER,) if name in rows]
+    categories = {name: rows[name].astype("category") for name in (*KEYS, *known)}
+    rows = rows.assign(**numbers, **categories)
     items = _add_level(_gather_items(rows, [*names, *known]), rows)
     if LEVEL not in items and not set(LEVELS) & set(names):
         lack = f"Level was not known (no column {', '.join(LEVELS)}): slopes may be those of level."
@@ -176,18 +166,17 @@ def _gather_items(rows: DataFrame, columns: list[str]) -> DataFrame:
     """Gather every stimulus: its metrics, its reducer, and the source of its recording where several have one."""
     items = rows[[SCENE, ITEM, *columns]].drop_duplicates()
     if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
-        raise ValueError(
-            f"rows must have one stimulus per item, got item {twice[0]!r} with two recordings, two reducers or two "
-            "values of a metric"
-        )
+        got = f"got item {twice[0]!r} with two recordings, two reducers or two values of a metric"
+        raise ValueError(f"rows must have one stimulus per item, {got}")
     sources = find_sources(rows)
     if sources.is_unique:
         return items
     if REDUCER not in columns:
-        raise ValueError(
-            "rows must say which stimuli of a source were reduced alike, got "
-            f"{len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'; add it"
+        got = (
+            f"got {len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'"
         )
+        must = "rows must say which stimuli of a source were reduced alike"
+        raise ValueError(f"{must}, {got}; add it")
     return items.assign(**{SOURCE: sources.reindex(items[SCENE]).astype("category").array})
 
 
@@ -243,20 +232,24 @@ def arrange_cells(
     )  # fmt: skip
 
 
-def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
-    """Take out of metrics what their recording and their reducer give, over stimuli."""
+def take_out(groups: DataFrame, values: Samples) -> Samples:
+    """Take out of values what their groups give: what a regression on indicators of the groups leaves."""
     import pandas as pd
 
+    dummies = pd.get_dummies(groups.astype(str)).to_numpy(np.float64)
+    left: Samples = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
+    return left
+
+
+def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
+    """Take out of metrics what their recording and their reducer give, over stimuli."""
     items = table.drop_duplicates(ITEM).set_index(ITEM)
-    dummies = pd.get_dummies(items[[SCENE, REDUCER]].astype(str)).to_numpy(np.float64)
-    values = items[list(names)].to_numpy()
-    left = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
+    values = items[list(names)].to_numpy(np.float64)
+    left = take_out(items[[SCENE, REDUCER]], values)
     left *= np.abs(left).max(axis=0) > FLAT * np.abs(values).max(axis=0)
     place = items.index.get_indexer(table[ITEM].array)
-    return table.assign(
-        **{REDUCER: table[REDUCER].astype(str)},
-        **{name: own[place] for name, own in zip(names, left.T, strict=True)},
-    )
+    centred = {name: own[place] for name, own in zip(names, left.T, strict=True)}
+    return table.assign(**{REDUCER: table[REDUCER].astype(str)}, **centred)
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,26 +270,22 @@ class Terms:
 
 def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Terms:
     """Choose the terms of the primary model."""
-    reductions: list[str] = []
-    fixed = _plan_fixed(cells, reductions)
+    fixed, reductions = _plan_fixed(cells)
     slopes = [name for name in fixed if name.endswith("_w")]
-    known = [name for name in fixed if name in {*slopes, LEVEL}]
-    free = _count_free(cells, known) if reducers and REDUCER in cells.table else 0
+    free = _count_free(cells, [name for name in fixed if name in {*slopes, LEVEL}])
     chosen = [
         *_plan_people(cells, slopes, bar="|" if correlated else "||"),
-        *_plan_groups(cells, slopes),
+        *_plan_scenes(cells, slopes),
         *(_plan_reducers(cells, slopes, free) if reducers else ()),
     ]
-    random = tuple(term for term in chosen if term.startswith("("))
-    reductions += [reason for reason in chosen if not reason.startswith("(")]
+    random = tuple(term for term, lack in chosen if not lack)
+    reductions += [lack for _, lack in chosen if lack]
     if cells.rough:
-        reductions.append(
-            "Means over unequal numbers of repeats, each counted as equally exact: single ratings have too many levels."
-        )
+        why = "each counted as equally exact: single ratings have too many levels"
+        reductions.append(f"Means over unequal numbers of repeats, {why}.")
     if not random:
-        raise ValueError(
-            "rows must hold more, got one participant and one recording; for these, use ordinary regression"
-        )
+        do = "for these, use ordinary regression"
+        raise ValueError(f"rows must hold more, got one participant and one recording; {do}")
     few = f"(1 | {REDUCER})" in random and cells.count(REDUCER) < FEW_REDUCERS
     # Of a single difference the penalised likelihood has no maximum: it grows with the spread as fast as it falls.
     penalty = (REDUCER,) if few and free > 1 else ()
@@ -314,121 +303,124 @@ def find_most_df(recordings: int) -> float:
     return 2.0 * (recordings - 1) if recordings > 1 else math.inf
 
 
-def _plan_fixed(cells: Cells, reductions: list[str]) -> list[str]:
-    def find(name: str) -> Samples:
-        values: Samples = cells.rated[name].to_numpy(np.float64)
-        return values
+def _plan_fixed(cells: Cells) -> tuple[list[str], list[str]]:
+    """Choose the fixed effects: metrics within recordings, between them, and level; also say which are left out."""
+    values = {
+        name: cells.rated[name].to_numpy(np.float64)
+        for name in map(str, cells.rated)
+        if name[-2:] in {"_w", "_b"} or name == LEVEL
+    }
+    reductions: list[str] = []
 
     def varies(metric: str, part: str) -> bool:
-        size = float(np.abs(find(f"{metric}_w") + find(f"{metric}_b")).max())
-        return float(np.ptp(find(f"{metric}{part}"))) > FLAT * size
+        size = float(np.abs(values[f"{metric}_w"] + values[f"{metric}_b"]).max())
+        return float(np.ptp(values[f"{metric}{part}"])) > FLAT * size
 
     def keep_independent(names: list[str]) -> list[str]:
         """Leave out what is a sum of those before it."""
         kept: list[str] = []
         for name in names:
-            values = np.stack([find(one) for one in (*kept, name)], axis=1)
-            values = (values - values.mean(axis=0)) / values.std(axis=0)
-            left = np.abs(np.diag(np.linalg.qr(values, mode="r")))[-1]
-            if left > DEPENDENT * np.sqrt(len(values)):
+            columns = np.stack([values[one] for one in (*kept, name)], axis=1)
+            columns = (columns - columns.mean(axis=0)) / columns.std(axis=0)
+            left = np.abs(np.diag(np.linalg.qr(columns, mode="r")))[-1]
+            if left > DEPENDENT * np.sqrt(len(columns)):
                 kept.append(name)
             else:
                 reductions.append(f"No term {name}: it is a sum of {', '.join(kept)}.")
         return kept
 
     flat = [name for name in cells.metrics if not varies(name, "_w")]
-    reductions += [
-        f"No slope of {name}: it is the same for all stimuli of a recording." for name in flat
-    ]
+    alike = "it is the same for all stimuli of a recording"
+    reductions += [f"No slope of {name}: {alike}." for name in flat]
     within = keep_independent([f"{name}_w" for name in cells.metrics if name not in flat])
     if not within:
-        raise ValueError(
-            f"metrics must vary, got {', '.join(cells.metrics)}, none of which differs between stimuli of a recording"
+        got = (
+            f"got {', '.join(cells.metrics)}, none of which differs between stimuli of a recording"
         )
-    level = [LEVEL] if LEVEL in cells.table else []
-    level = keep_independent([*within, *level])[len(within) :]
+        raise ValueError(f"metrics must vary, {got}")
+    level = keep_independent([*within, *[LEVEL] * (LEVEL in values)])[len(within) :]
     between = [f"{name}_b" for name in cells.metrics if varies(name, "_b")]
-    if cells.n_sources >= len(between) + 2 and between:
-        return [*within, *keep_independent(between), *level]
-    scenes = f"source{'s' if cells.n_sources > 1 else ''}" if cells.shared else "of them"
-    reductions.append(
-        f"No slopes between recordings: with {cells.n_sources} {scenes}, {len(cells.metrics)} such slopes "
-        "cannot be told from the recordings themselves."
-    )
-    return [*within, *level]
+    if not between or cells.n_sources < len(between) + 2:
+        scenes = f"source{'s' if cells.n_sources > 1 else ''}" if cells.shared else "of them"
+        why = f"{len(cells.metrics)} such slopes cannot be told from the recordings themselves"
+        reductions.append(f"No slopes between recordings: with {cells.n_sources} {scenes}, {why}.")
+        between = []
+    return [*within, *keep_independent(between), *level], reductions
 
 
-# Each of the following yields terms, and the reason for every term that the data cannot carry.
+# Each of the following yields terms, each with the reason why the data cannot carry it, empty where they can.
+
+Planned = Iterator[tuple[str, str]]
 
 
-def _plan_people(cells: Cells, slopes: list[str], *, bar: str) -> Iterator[str]:
+def _write(group: str, slopes: Sequence[str], bar: str = "||") -> str:
+    effects = " + ".join(["1", *map(_quote, slopes)])
+    return f"({effects} {bar if slopes else '|'} {group})"
+
+
+def _plan_people(cells: Cells, slopes: list[str], *, bar: str) -> Planned:
     people, rows = cells.count(WHO), len(cells.table)
-    if people == 1:
-        yield "No spread between people: one participant only; nothing here speaks of others."
-        return
     effects = 1 if bar == "||" else len(slopes) + 1
-    if people * effects >= rows:
-        yield f"No spread of people's slopes: {rows} rows for {people} participants are too few."
+    if people > 1 and people * effects >= rows:
+        few = f"{rows} rows for {people} participants are too few"
+        yield "", f"No spread of people's slopes: {few}."
         slopes = []
-    yield f"({' + '.join(['1', *map(_quote, slopes)])} {bar} {WHO})"
+    lone = "No spread between people: one participant only; nothing here speaks of others."
+    yield _write(WHO, slopes, bar), lone if people == 1 else ""
 
 
-def _plan_groups(cells: Cells, slopes: list[str]) -> Iterator[str]:
+def _plan_scenes(cells: Cells, slopes: list[str]) -> Planned:
     """Name the grouping factors besides people and reducers, as far as the design tells them apart.
 
     Slopes are of sources, where several recordings come from one: those of a recording and its copies are alike.
     Without the last term each copy would count as evidence of its own.
     """
     several, people, rows = cells.count(SCENE) > 1, cells.count(WHO), len(cells.table)
-
-    def write(group: str, own: list[str]) -> str:
-        return f"({' + '.join(['1', *map(_quote, own)])} || {group})" if own else f"(1 | {group})"
-
     lone = "No spread between recordings: one recording only; nothing here speaks of others."
     own = [] if cells.shared and cells.n_sources > 1 else slopes
-    yield write(SCENE, own) if several else lone
+    yield _write(SCENE, own), "" if several else lone
     single = "No spread between stimuli: each has one row only, its spread is in the residual."
-    yield f"(1 | {ITEM})" if cells.count(ITEM) < rows else single
+    yield f"(1 | {ITEM})", "" if cells.count(ITEM) < rows else single
     if several and people > 1:
         once = "No spread of people's recordings: each has one row only."
-        yield f"(1 | {WHO}:{SCENE})" if cells.count(WHO, SCENE) < rows else once
+        yield f"(1 | {WHO}:{SCENE})", "" if cells.count(WHO, SCENE) < rows else once
     if cells.repeated and people > 1:
-        yield f"(1 | {WHO}:{ITEM})"
+        yield f"(1 | {WHO}:{ITEM})", ""
     if cells.shared:
-        lone = "No spread between sources: all recordings come from one; nothing here speaks of others."
-        yield write(SOURCE, slopes) if cells.n_sources > 1 else lone
+        one = "all recordings come from one; nothing here speaks of others"
+        lone = f"No spread between sources: {one}."
+        yield _write(SOURCE, slopes), "" if cells.n_sources > 1 else lone
         if cells.count(SOURCE, REDUCER) < cells.count(ITEM):
-            yield f"(1 | {ALIKE})"
+            yield f"(1 | {ALIKE})", ""
 
 
-def find_recording_slope(spreads: Mapping[tuple[str, str], float], metric: str) -> float:
-    """Find how slopes differ between recordings, or between sources where several come from one."""
-    return max(spreads.get((group, f"{metric}_w"), 0.0) for group in (SCENE, SOURCE))
-
-
-def _plan_reducers(cells: Cells, slopes: list[str], free: int) -> Iterator[str]:
+def _plan_reducers(cells: Cells, slopes: list[str], free: int) -> Planned:
     """Name what stimuli of one reducer share, for everyone and for one person, as far as recordings repeat reducers."""
-    none = "No spread between reducers: "
+    number, why = cells.count(REDUCER), ""
     if REDUCER not in cells.table:
-        yield none + "no column 'reducer' says which stimuli were reduced alike."
-        return
-    why = {cells.count(ITEM): "no reducer was used on several recordings", 1: "one reducer only"}
-    number = cells.count(REDUCER)
-    if cells.count(SCENE) == 1 or number in why:
-        lone = number > 1 and cells.count(SCENE) == 1
-        yield none + ("one recording only" if lone else why[number]) + "."
+        why = "no column 'reducer' says which stimuli were reduced alike"
+    elif number == 1:
+        why = "one reducer only"
+    elif cells.count(SCENE) == 1:
+        why = "one recording only"
+    elif number == cells.count(ITEM):
+        why = "no reducer was used on several recordings"
+    if why:
+        yield "", f"No spread between reducers: {why}."
         return
     # Of one source, (1 | source:reducer) is this term.
     if not cells.shared or cells.n_sources > 1:
-        few = none + "too few stimuli to tell it from the slopes."
-        yield f"(1 | {REDUCER})" if free else few
+        few = "No spread between reducers: too few stimuli to tell it from the slopes."
+        yield f"(1 | {REDUCER})", "" if free else few
     if cells.count(WHO) > 1:
         few = "No spread of people's reducers: too few stimuli to tell it from the residual."
-        yield f"(1 | {WHO}:{REDUCER})" if _has_residual(cells, slopes) else few
+        yield f"(1 | {WHO}:{REDUCER})", "" if _has_residual(cells, slopes) else few
 
 
 def _count_free(cells: Cells, slopes: list[str]) -> int:
     """Count the differences between reducers that neither recordings nor slopes account for."""
+    if REDUCER not in cells.table:
+        return 0
     rows = cells.rated.index.to_numpy()
     values = cells.rated[slopes].to_numpy(np.float64)
     # Each in units of its spread, so that none counts as rounding.
@@ -441,14 +433,18 @@ def _has_residual(cells: Cells, slopes: list[str]) -> bool:
     """Check whether anybody's ratings have a dimension besides their recordings, reducers and slopes."""
     values = cells.table[slopes].to_numpy(np.float64)
     values = values / values.std(axis=0)
-    who, item = cells.table[WHO].factorize()[0], cells.table[ITEM].factorize()[0]
-    for number in range(int(who.max()) + 1):
-        own = np.flatnonzero(who == number)
-        own = own[np.unique(item[own], return_index=True)[1]]
-        columns = np.hstack([cells.mark(SCENE, own), cells.mark(REDUCER, own), values[own]])
-        if np.linalg.matrix_rank(columns) < len(own):
+    firsts = cells.table.drop_duplicates([WHO, ITEM])
+    for own in firsts.groupby(WHO, observed=True).indices.values():
+        rows = firsts.index.to_numpy()[own]
+        columns = np.hstack([cells.mark(SCENE, rows), cells.mark(REDUCER, rows), values[rows]])
+        if np.linalg.matrix_rank(columns) < len(rows):
             return True
     return False
+
+
+def find_recording_slope(spreads: Mapping[tuple[str, str], float], metric: str) -> float:
+    """Find how slopes differ between recordings, or between sources where several come from one."""
+    return max(spreads.get((group, f"{metric}_w"), 0.0) for group in (SCENE, SOURCE))
 
 
 def _quote(name: str) -> str:

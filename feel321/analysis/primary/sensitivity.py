@@ -8,7 +8,7 @@ and then left out in the same exact way.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import itemgetter
@@ -29,6 +29,7 @@ from feel321.analysis.primary.plan import (
     Cells,
     make_cells,
     select_rows,
+    take_out,
 )
 from feel321.analysis.primary.plan import LEVEL as COVARIATE
 from feel321.analysis.table.metrics import order_reducers
@@ -43,19 +44,13 @@ if TYPE_CHECKING:
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
 """What may be concluded about a slope."""
 
-SURVIVES, LOST = "survives", "lost"
-"""What becomes of a verdict with level in the model."""
-
+SURVIVES, LOST = "survives", "lost"  # What becomes of a verdict with level in the model
 LEVEL = 0.05
 """Of a verdict, after Holm's adjustment, and of an exceptional reducer, after Bonferroni's."""
 
 STIMULUS = "stimulus"
-CANDIDATES = 2
-"""Stimuli per metric and way of centring that are left out exactly."""
-
-MOVED = 1.0
-"""Standard errors by which a slope must change to be named."""
-
+CANDIDATES = 2  # Stimuli per metric and way of centring that are left out exactly
+MOVED = 1.0  # Standard errors by which a slope must change to be named
 MOST_CELLS = 20_000
 """Participants x stimuli beyond which some thirty models would take many minutes."""
 
@@ -68,15 +63,24 @@ LEAST_EXCESS = 5.0
 FEWEST_REDUCERS = 5
 """Fewer than this do not say how far reducers differ from what their metrics predict."""
 
-DELIVERED = "_delivered"
-"""Suffix of the columns of metrics of what was delivered."""
-
+DELIVERED = "_delivered"  # Suffix of the columns of metrics of what was delivered
 RIGS = ("rig", "calibration")
 """Columns on what participants felt the stimuli on; there where they differ."""
 
 COLUMNS = (
-    "estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high",
-)  # fmt: skip
+    "estimate",
+    "se",
+    "df",
+    "t",
+    "p",
+    "low",
+    "high",
+    "standardised",
+    "standardised_low",
+    "standardised_high",
+)
+"""fmt: skip."""
+
 TENTHS = ("tenth", "tenth_low", "tenth_high")
 
 
@@ -89,11 +93,28 @@ class Fitted(NamedTuple):
     slopes: Slopes | None = None
 
 
+def _fit(
+    make: Callable[[], Cells],
+    metrics: Sequence[str],
+    *,
+    correlated: bool = False,
+    reducers: bool = True,
+) -> Fitted:
+    """Fit the slopes; NaN and the reason where the rows carry no model."""
+    try:
+        found = fit_slopes(make(), correlated=correlated, reducers=reducers)
+    except ValueError as error:
+        index = pd.Index(metrics, name="metric")
+        empty = pd.DataFrame(np.nan, index=index, columns=[*COLUMNS, *TENTHS])
+        return Fitted(empty, singular=False, reason=str(error))
+    singular, lacks = bool(found.solved.note_zeros()), " ".join(found.terms.reductions)
+    return Fitted(found.table.reindex(list(found.cells.metrics)), singular, lacks, found)
+
+
 class Variant(NamedTuple):
     """The primary analysis under another choice: other rows, another scale of the ratings, other terms.
 
-    make: the cells, or a ValueError that says why there are none; kind and left: column and name of what is left out,
-    if anything is.
+    make: the cells, or a ValueError that says why there are none.
     """
 
     name: str
@@ -101,37 +122,7 @@ class Variant(NamedTuple):
     unit: str = "points"
     correlated: bool = False
     reducers: bool = True
-    kind: str = ""
-    left: str = ""
     note: str = ""
-
-    def fit(self, metrics: Sequence[str]) -> Fitted:
-        """Fit the slopes; NaN and the reason where the rows carry no model."""
-        try:
-            found = fit_slopes(self.make(), correlated=self.correlated, reducers=self.reducers)
-        except ValueError as error:
-            index = pd.Index(metrics, name="metric")
-            empty = pd.DataFrame(np.nan, index=index, columns=[*COLUMNS, *TENTHS])
-            return Fitted(empty, singular=False, reason=str(error))
-        singular, lacks = bool(found.solved.note_zeros()), " ".join(found.terms.reductions)
-        return Fitted(found.table.reindex(list(found.cells.metrics)), singular, lacks, found)
-
-
-def leave_out_units(cells: Cells) -> Iterator[Variant]:
-    """Leave out each recording, or source of recordings where several come from one, and each reducer.
-
-    Names stand in the same order whatever was rated, so that scales can be compared.
-    """
-    for column in (SOURCE if cells.shared else SCENE, REDUCER):
-        names = list(cells.items[column].unique() if column in cells.items else ())
-        ordered = order_reducers(names) if column == REDUCER else sorted(names, key=str)
-        for name in ordered if 1 < len(names) <= MOST_UNITS else ():
-            yield _leave_out(cells, column, name)
-
-
-def _leave_out(cells: Cells, column: str, name: object) -> Variant:
-    kind, make = STIMULUS if column == ITEM else column, partial(cells.leave_out, column, name)
-    return Variant(f"without {kind} {name}", make, kind=kind, left=str(name))
 
 
 def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0) -> DataFrame:
@@ -150,13 +141,14 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     rows, notes = select_rows(rows)
     ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
     if ratings.min() < 0 or ratings.max() > top:
-        raise ValueError(
-            f"rows must have ratings from 0 to {top:g}, got {ratings.min():g} to {ratings.max():g}; give top"
-        )
+        got = f"got {ratings.min():g} to {ratings.max():g}; give top"
+        raise ValueError(f"rows must have ratings from 0 to {top:g}, {got}")
     rows = rows.assign(**{RATING: ratings})
     tables = []
     for variant in _list_variants(rows, metrics, top=top):
-        found = variant.fit(metrics)
+        found = _fit(
+            variant.make, metrics, correlated=variant.correlated, reducers=variant.reducers
+        )
         if variant.name == "primary" and not found.slopes:
             raise ValueError(found.reason)
         reason = " ".join(filter(None, (*notes, variant.note, found.reason)))
@@ -174,13 +166,13 @@ def _list_variants(rows: DataFrame, metrics: Sequence[str], *, top: float) -> It
     yield Variant("without reducers", lambda: cells, reducers=False)
     if COVARIATE in cells.table:
         yield Variant("without level", cells.ignore_level)
+    yield from _list_rig_variants(rows, metrics, cells)
     own = rows.groupby(WHO, observed=True)[RATING]
     spread = own.transform("std").fillna(0)
     steady = spread == 0
     names = ", ".join(map(str, rows.loc[steady, WHO].unique()))
     note = f"Without {names}, whose ratings are all the same." if names else ""
     scaled = rows.assign(**{RATING: (rows[RATING] - own.transform("mean")) / spread.mask(steady)})
-    yield from _list_rig_variants(rows, metrics, cells)
     make = partial(make_cells, scaled[~steady], metrics)
     yield Variant("rater-standardised", make, unit="rater SDs", note=note)
     share = (rows[RATING] / top * (len(rows) - 1) + 0.5) / len(rows)
@@ -196,20 +188,19 @@ def _list_rig_variants(rows: DataFrame, metrics: Sequence[str], cells: Cells) ->
         note = f"Of {', '.join(lacking)}, the intended one." if lacking else ""
         make = partial(make_cells, rows.assign(**delivered), metrics)
         yield Variant("delivered metrics", make, note=note)
-    for name in RIGS:
-        if name not in rows:
-            continue
+    for name in (name for name in RIGS if name in rows):
         means, whole = (
             rows.groupby(keys, observed=True)[RATING].transform("mean")
             for keys in ([name, SCENE], SCENE)
         )
         left = rows.assign(**{RATING: rows[RATING] - means + whole})
         yield Variant(f"{name} as a factor", partial(make_cells, left, metrics))
-        n_people = cells.count(WHO)
-        for value, names in rows.drop_duplicates(WHO).groupby(name)[WHO]:
-            if 2 * len(names) <= n_people > len(names) + 1:  # the rest is most, and more than one
-                make, who = partial(cells.leave_out, WHO, *names), str(value) or "unknown"
-                yield Variant(f"without {name} {who}", make, kind=name, left=who)
+        for value, people in rows.drop_duplicates(WHO).groupby(name)[WHO]:
+            if (
+                2 * len(people) <= cells.count(WHO) > len(people) + 1
+            ):  # the rest is most, and more than one
+                make = partial(cells.leave_out, WHO, *people)
+                yield Variant(f"without {name} {str(value) or 'unknown'}", make)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,27 +262,39 @@ def list_changes(slopes: Iterable[Mapping[Any, Any]]) -> Iterator[Mapping[Any, A
     yield from (row for row in slopes if find_direction(row) != whole.get(keys(row), 0.0))
 
 
+def leave_out_units(cells: Cells) -> Iterator[tuple[str, Hashable]]:
+    """List each recording, or source of recordings where several come from one, and each reducer: column and name.
+
+    Names stand in the same order whatever was rated, so that scales can be compared.
+    """
+    for column in (SOURCE if cells.shared else SCENE, REDUCER):
+        names = list(cells.items[column].unique() if column in cells.items else ())
+        ordered = order_reducers(names) if column == REDUCER else sorted(names, key=str)
+        yield from ((column, name) for name in ordered if 1 < len(names) <= MOST_UNITS)
+
+
 def measure_influence(
     rows: DataFrame, metrics: Sequence[str], whole: Primary, *, others: Sequence[float] = ()
 ) -> Influence:
     """Leave out each recording and reducer, and the stimuli that matter most, one at a time."""
-    cells, found, slopes, notes = make_cells(rows, metrics), [], {}, []
+    cells, found, notes = make_cells(rows, metrics), [], []
+    slopes: dict[Hashable, Slopes] = {}
     if cells.count(WHO, ITEM) > MOST_CELLS:
-        notes.append(
-            f"Influence was not measured: more than {MOST_CELLS} participant x stimulus cells."
-        )
+        most = f"more than {MOST_CELLS} participant x stimulus cells"
+        notes.append(f"Influence was not measured: {most}.")
     elif whole.slopes["estimable"].any():
         if cells.n_sources > MOST_UNITS:
-            what = "sources" if cells.shared else "recordings"
-            notes.append(f"{what.capitalize()} were not left out in turn: more than {MOST_UNITS}.")
-        candidates = (_leave_out(cells, ITEM, name) for name in find_candidates(cells))
+            what = "Sources" if cells.shared else "Recordings"
+            notes.append(f"{what} were not left out in turn: more than {MOST_UNITS}.")
+        stimuli = ((ITEM, name) for name in find_candidates(cells))
         before = _conclude(whole.slopes, others)
-        for variant in (*leave_out_units(cells), *candidates):
-            fitted = variant.fit(metrics)
+        for column, name in (*leave_out_units(cells), *stimuli):
+            fitted = _fit(partial(cells.leave_out, column, name), metrics)
             table = _compare(fitted, whole, before=before, others=others)
-            found.append(table.assign(kind=variant.kind, unit=variant.left))
-            if variant.kind == REDUCER and fitted.slopes:
-                slopes[variant.left] = fitted.slopes
+            kind = STIMULUS if column == ITEM else column
+            found.append(table.assign(kind=kind, unit=str(name)))
+            if column == REDUCER and fitted.slopes:
+                slopes[name] = fitted.slopes
     table = pd.concat(found, ignore_index=True) if found else pd.DataFrame()
     return Influence(table, _find_exceptions(cells, slopes), tuple(notes))
 
@@ -307,12 +310,11 @@ def find_candidates(cells: Cells, *, count: int = CANDIDATES) -> list[str]:
     for groups in ([SCENE], [SCENE, REDUCER]):
         if not set(groups) <= set(items):
             continue
-        dummies = _list_dummies(items, groups)
-        x, y = (_centre(dummies, each) for each in (values, ratings[:, None]))
+        left = take_out(items[groups], np.eye(len(items)))
+        x, y = left @ values, left @ ratings
         inverse = np.linalg.pinv(x)
-        residual = y[:, 0] - x @ (inverse @ y[:, 0])
-        share = np.einsum("ij,ji->i", dummies, np.linalg.pinv(dummies))
-        leverage = share + np.einsum("ij,ji->i", x, inverse)
+        residual = y - x @ (inverse @ y)
+        leverage = 1 - left.diagonal() + np.einsum("ij,ji->i", x, inverse)
         for change in inverse * (residual / np.maximum(1 - leverage, 1e-9)):
             order = np.argsort(-np.abs(change), kind="stable")[:count]
             chosen |= dict.fromkeys(items[ITEM].iloc[order[np.abs(change[order]) > 0]])
@@ -327,16 +329,6 @@ def _average_items(cells: Cells) -> tuple[DataFrame, Samples, Samples]:
     items = cells.rated.reset_index(drop=True)
     within = items[[f"{name}_w" for name in cells.metrics]].to_numpy(np.float64)
     return items, within, means.reindex(items[ITEM]).to_numpy(np.float64)
-
-
-def _list_dummies(items: DataFrame, groups: Sequence[str]) -> Samples:
-    dummies: Samples = pd.get_dummies(items[list(groups)].astype(str)).to_numpy(np.float64)
-    return dummies
-
-
-def _centre(dummies: Samples, values: Samples) -> Samples:
-    centred: Samples = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
-    return centred
 
 
 def _conclude(slopes: DataFrame, others: Sequence[float]) -> DataFrame:
@@ -363,15 +355,14 @@ def _compare(
     return table.rename_axis("metric").reset_index()
 
 
-def _find_exceptions(cells: Cells, slopes: dict[str, Slopes]) -> DataFrame:
+def _find_exceptions(cells: Cells, slopes: Mapping[Hashable, Slopes]) -> DataFrame:
     """Find reducers that are rated otherwise than the slopes of all others predict."""
     from scipy.stats import t as student
 
     columns = ["excess", "t", "df", "p", "exceptional"]
     if len(slopes) < FEWEST_REDUCERS:
         return pd.DataFrame(columns=columns, index=pd.Index([], name=REDUCER))
-    found = {}
-    n = cells.count(REDUCER)
+    found, n = {}, cells.count(REDUCER)
     for name, others in slopes.items():
         excess, se, df = measure_excess(cells, name, others)
         value = excess / se if se > 0 else math.nan
@@ -380,7 +371,7 @@ def _find_exceptions(cells: Cells, slopes: dict[str, Slopes]) -> DataFrame:
     return pd.DataFrame.from_dict(found, orient="index", columns=columns).rename_axis(REDUCER)
 
 
-def measure_excess(cells: Cells, name: str, others: Slopes) -> tuple[float, float, float]:
+def measure_excess(cells: Cells, name: Hashable, others: Slopes) -> tuple[float, float, float]:
     """Measure by how many points a reducer is rated above what the slopes of all others predict: excess, se, df.
 
     Two variances add up: of what the slopes leave of reducers, s² (1 + 1/n) over the n others, and of the prediction
@@ -389,15 +380,16 @@ def measure_excess(cells: Cells, name: str, others: Slopes) -> tuple[float, floa
     simulated studies, and the interval held a planted one in 33 %; with it in none, and in 93 %.
     """
     items, within, ratings = _average_items(cells)
-    own = _centre(_list_dummies(items, [SCENE]), ratings[:, None])
-    table = pd.DataFrame(np.hstack([own, within])).groupby(items[REDUCER].to_numpy()).mean()
-    rest = table.drop(name).to_numpy()
-    gap = table.loc[name].to_numpy() - rest.mean(axis=0)
+    left = np.column_stack([take_out(items[[SCENE]], ratings), within])
+    table = pd.DataFrame(left).groupby(items[REDUCER].to_numpy()).mean()
+    is_own = table.index == name
+    rest = table[~is_own].to_numpy()
+    gap = table[is_own].to_numpy()[0] - rest.mean(axis=0)
     names = [f"{metric}_w" for metric in cells.metrics]
     slope = others.solved.estimate(dict(zip(names, gap[1:].tolist(), strict=True)))
     weights = others.table["estimate"].reindex(list(cells.metrics)).fillna(0).to_numpy()
-    left = float((rest[:, 0] - rest[:, 1:] @ weights).std(ddof=1))
-    parts = (left * math.sqrt(1 + 1 / len(rest)), len(rest) - 1.0), (slope.se, slope.df)
+    spread = float((rest[:, 0] - rest[:, 1:] @ weights).std(ddof=1))
+    parts = (spread * math.sqrt(1 + 1 / len(rest)), len(rest) - 1.0), (slope.se, slope.df)
     known = [(se, df) for se, df in parts if se > 0 and df > 0]
     se = math.hypot(*(se for se, _ in known))
     df = se**4 / sum(one**4 / df for one, df in known) if known else math.nan

@@ -13,24 +13,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.agreement import SMALLEST
-from feel321.analysis.association.correlate import correlate_items, make_panel
+from feel321.analysis.association import correlate_items, make_panel
 from feel321.analysis.figures.style import assign_looks
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, read_ends
 from feel321.analysis.table.items import Part, make_items, split_tests
 from feel321.analysis.table.metrics import describe_explored, order_reducers
-from feel321.analysis.table.notes import SPACE, note_apart
+from feel321.analysis.table.reading import SPACE, note_apart
 from feel321.analysis.table.schema import APART, CHOSEN, PAIRED, RECAST
 from feel321.analysis.words import format_method, format_span
 
 if TYPE_CHECKING:
-    from feel321.analysis.association.correlate import Panel
+    from feel321.analysis.association import Panel
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
     from feel321.records import Statistic
 
 LEADING, RANKED, DRAWN = "pearson", "spearman", "within"
-"""The method that the words give, the one it is checked against, and the one that scatters and cards give."""
+"""The method that the words give, its counterpart by ranks, and the one that scatters and cards give."""
 
 
 def compute(table: Table, choices: Choices) -> Found:
@@ -86,26 +86,19 @@ def _add_associations(found: Found, part: Part, every: Iterable[Statistic], *, n
 
 def _describe_panel(part: Part, panel: Panel) -> Row:
     """Gather what the template says of the correlations of one scale and level."""
-    ranked = {one.metric: one for one in panel.associations if one.method == RANKED}
     leading = [one for one in panel.associations if one.method == LEADING]
-    found = []
-    for one in leading:
-        other, why = ranked[one.metric], one.notes[0] if one.notes else ""
-        # A few outlying values may hide what the ranks of all others show.
-        contradicts = covers_zero(one) != covers_zero(other) or one.value * other.value < 0
-        found.append({
-            "metric": one.metric, "r": read_ends(one), "covers": covers_zero(one),
-            "ranks": read_ends(other) if contradicts and not np.isnan(other.low) else None,
-            "why": why.removeprefix("No correlation: ").removesuffix("."),
-        })  # fmt: skip
-    compared = (two for two in panel.differences if two.method == LEADING)
-    differences = [
-        {"metrics": [two.first, two.second], "r": read_ends(two), "covers": covers_zero(two)}
-        for two in compared
-    ]
+    reasons = [one.notes[0] if one.notes else "" for one in leading]
     return {
-        **part.keys, "subject": part.subject, "found": found, "differences": differences,
-        "ceiling": leading[0].ceiling, "n_items": leading[0].n_items,
+        **part.keys, "subject": part.subject, "ceiling": leading[0].ceiling, "n_items": leading[0].n_items,
+        "found": [
+            {"metric": one.metric, "r": read_ends(one), "covers": covers_zero(one),
+             "why": why.removeprefix("No correlation: ").removesuffix(".")}
+            for one, why in zip(leading, reasons, strict=True)
+        ],
+        "differences": [
+            {"metrics": [two.first, two.second], "r": read_ends(two), "covers": covers_zero(two)}
+            for two in panel.differences if two.method == LEADING
+        ],
     }  # fmt: skip
 
 
@@ -149,5 +142,5 @@ def explore(part: Part, metrics: Sequence[str], choices: Choices) -> Iterator[St
     for metric, method in product(metrics, (LEADING, RANKED, DRAWN)):
         alone = make_items(part.rows, [metric])
         rng = choices.make_rng("further", *part.place, metric, method)
-        drawn = correlate_items(alone, (metric,), method, draws=choices.draws, rng=rng)
+        (drawn,) = correlate_items(alone, (metric,), method, draws=choices.draws, rng=rng)
         yield drawn.associate(metric)

@@ -99,7 +99,7 @@ def describe_prediction(part: Part, table: Table, found: Statistic) -> Row:
         "scale": part.scale, "subject": part.subject, "level": part.level * part.several,
         "compared": len(found.differences), "estimable": not found.shares["p"].isna().all(),
         "n_metrics": len(listed), "units": [format_count(size, name) for name, size in sizes.items()],
-        "few": [format_count(size, name) for name, size in sizes.items() if size < FEW],
+        "few": parts.list_few(sizes, FEW),
         "others": found.others, "highest": listed[0], "right": right,
         "wrong": [row for row in clear if row["share"] < CHANCE], "worse": [], "without": [],
     }  # fmt: skip

@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from pandas import DataFrame
+
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary import sensitivity
 from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, tabulate_slopes
@@ -16,7 +18,7 @@ from feel321.analysis.report.section import Found, Row, read_ends
 from feel321.analysis.table.items import Part, split_tests
 from feel321.analysis.table.metrics import ROTATIONS, TENTH
 from feel321.analysis.table.schema import STAND_INS
-from feel321.analysis.words import format_count
+from feel321.analysis.words import format_name
 
 if TYPE_CHECKING:
     from feel321.analysis.primary.model import Primary
@@ -86,12 +88,25 @@ def compute(table: Table, choices: Choices) -> Found:
     if found.verdicts:
         found.facts = {"parts": told, "losses": losses, "verdicts": found.verdicts}
     if models:
+        _draw_slopes(found, models, steps)
         drawn = {part.subject: model for part, model in models.items()}
-        per = {step.per for step in steps.values()}
-        says = {"per": per.pop() if len(per) == 1 else "step"}
-        found.draw("slopes", "slopes", drawn, steps, says=says)
         found.draw("residuals", "residuals", drawn, says={})
     return found
+
+
+def _draw_slopes(found: Found, models: Mapping[Part, Primary], steps: Mapping[str, Step]) -> None:
+    """Draw the slopes as the table has them: a heading per scale and level, a row per metric."""
+    fits = {part.place: (part.subject, model.fit.singular) for part, model in models.items()}
+    kinds = {step.per for step in steps.values()}
+    rows = []
+    for row in found.rows["slopes"]:
+        subject, is_singular = fits[row["scale"], row["level"]]
+        name = format_name(row["metric"]) + f", per {steps[row['metric']].per}" * (len(kinds) > 1)
+        if row["quantity"] == "slope":
+            rows.append(row | {"name": name, "subject": subject, "filled": not is_singular})
+    per = kinds.pop() if len(kinds) == 1 else "step"
+    label = f"Points of rating per {per} of metric"
+    found.draw("slopes", "slopes", DataFrame(rows), label, says={"per": per})
 
 
 def _fit(found: Found, table: Table, choices: Choices) -> tuple[dict[Part, Primary], list[Row]]:
@@ -163,7 +178,7 @@ def conclude_slope(analysis: Analysis, row: Row) -> Row:
             str(pair["second"] if pair["first"] == metric else pair["first"])
             for pair in pairs if metric == find_better(pair)
         ],
-        "few": [format_count(size, name) for name, size in analysis.units.items() if size < least],
+        "few": parts.list_few(analysis.units, least),
         "beyond_level": sensitivity.judge_level(model.level, row["p_holm"], row["plain_p_holm"]),
     }  # fmt: skip
 

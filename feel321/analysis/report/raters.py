@@ -71,7 +71,7 @@ def compute(table: Table, choices: Choices) -> Found:
     shares = screening.table.loc[screening.table["rule"].isin(standard), "share"]
     several = len(single["level"].unique()) > 1
     where = [(row["metric"], row["scale"], row["level"] * several) for row in changes]
-    found.facts |= {
+    found.facts = {
         "flagged": len(flagged[ANY]), "by_standard": len(flagged[STANDARD]), "n_raters": n_raters,
         "applied": bool(shares.notna().any()), "changes": list(map(list, dict.fromkeys(where))),
         "rules": {
@@ -106,7 +106,6 @@ def _add_screening(found: Found, screening: Statistic) -> None:
 def _add_models(found: Found, single: DataFrame, hit: set[str]) -> None:
     """Fit the rater model to every scale and level, hidden references and anchors included."""
     drawn = []
-    found.facts["models"] = models = list[Row]()
     for part in split_arms(single):
         model = found.attempt(f"{part.lead}, rater model: none.", rater_model, part.rows)
         if model is None:
@@ -118,33 +117,11 @@ def _add_models(found: Found, single: DataFrame, hit: set[str]) -> None:
             ends = {f"{name}_low": frame[name] - half, f"{name}_high": frame[name] + half}
             frame = frame.assign(**ends)
         found.add("rater_model", frame, **part.keys)
-        found.add("rater_model_fit", [model], n=model.n_ratings, **part.keys)
-        models.append(_describe_model(part, model))
         drawn.append(frame.assign(series=part.subject, name=frame["participant"].astype(str)))
     if drawn:
         frame = pd.concat(drawn)
         frame = frame.assign(filled=frame["name"].isin(hit)).sort_values("name", kind="stable")
         found.draw("inconsistency", "raters", frame, says={})
-
-
-def _describe_model(part: Part, model: Statistic) -> Row:
-    """Find who rates high or low, and whether somebody's ratings are unlike all others in consistency."""
-    from scipy.special import ndtri
-
-    rows = model.to_frame().sort_values("bias").to_dict("records")
-    limit = -float(ndtri(parts.SIGNIFICANCE / 2 / len(rows)))
-    biased = [
-        {"participant": row["participant"], "bias": row["bias"]}
-        for row in (rows[-1], rows[0])
-        if abs(row["bias"]) > limit * row["bias_se"]
-    ]
-    spread = model.raters["inconsistency"]
-    rest, apart = spread[~model.raters["apart"]], spread[model.raters["apart"]]
-    return {
-        "scale": part.scale, "level": part.level * part.several, "biased": biased, "apart": list(model.apart),
-        "range": [rest.min(), rest.max()],
-        "apart_range": [apart.min(), apart.max()] if len(apart) else [],
-    }  # fmt: skip
 
 
 def _fit_without(part: Part, out: Sequence[Hashable], metrics: Sequence[str]) -> list[Row]:
@@ -206,6 +183,4 @@ def compute_delivered(table: Table, choices: Choices) -> Found:  # noqa: ARG001 
     found.add("delivered", matched)
     found.add("level_errors", levels)
     found.facts = {"levels": levels, "matched": matched, "n": len(rows)}
-    columns = ["reducer", *names, *(name + SUFFIX for name in names)]
-    found.draw("delivered", "delivered", items[columns], names, errors.get(ERROR, ()), says={})
     return found

@@ -20,7 +20,6 @@ from feel321.analysis.report.section import Found, Row
 from feel321.analysis.table.items import find_sources, format_recordings, select_tests, split_arms
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, PAIR, PAIRED, ROLES
-from feel321.analysis.words import format_count
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -162,7 +161,7 @@ def describe_hint(rows: DataFrame) -> list[str]:
     sources = find_sources(rows)
     scene = "recording" if sources.is_unique else "source"
     units = {"participant": rows["participant"].nunique(), scene: sources.nunique()}
-    return [format_count(count, name) for name, count in units.items() if count < FEW]
+    return parts.list_few(units, FEW)
 
 
 # Level arms compared, for the question whether something felt good because it was strong.

@@ -22,7 +22,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 from feel321.analysis.page import TEMPLATES, render_words
 from feel321.analysis.table.items import Part, find_sources, split_tests
 from feel321.analysis.table.metrics import Step, find_steps
-from feel321.analysis.words import INTERVALS, format_estimate, format_name, format_number
+from feel321.analysis.words import (
+    INTERVALS,
+    format_count,
+    format_estimate,
+    format_name,
+    format_number,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -70,6 +76,11 @@ def find_row(rows: Iterable[Row], quantity: str, **keys: Any) -> Row | None:  # 
 def read_ends(record: Mapping[Any, Any], names: str = "value low high") -> dict[str, float]:
     """Read an estimate and the ends of its interval by their names in a record, for the words."""
     return {end: record[name] for end, name in zip(ENDS, names.split(), strict=False)}
+
+
+def list_few(units: Mapping[str, int], least: int) -> list[str]:
+    """List the units of which there are so few that a finding is no more than a hint: 3 recordings."""
+    return [format_count(size, name) for name, size in units.items() if size < least]
 
 
 # What a template declares: tables and figures.

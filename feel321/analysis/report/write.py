@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
-from feel321.analysis.association.correlate import refuse_untested
+from feel321.analysis.association import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer
@@ -25,7 +25,7 @@ from feel321.analysis.table.dictionary import DICTIONARY
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
-from feel321.doors import announce, as_path, as_seed, follow
+from feel321.doors import as_path, as_seed, follow
 from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
 
@@ -210,7 +210,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         refuse_untested(table)
         with words.declaring(table.info):
             found = _compute(table, chosen, paper=paper, move=move)
-            announce("figures and pages")
             results = _gather_results(table, found, inputs=inputs, about=about, choices=chosen)
             _write(table, results, found=found, target=target)
     return replace(results, path=target)
@@ -292,7 +291,6 @@ def _compute(
     # times as long on a busy machine.
     with threadpool_limits(limits=1, user_api="blas"):
         for number, section in enumerate(SECTIONS, start=1):
-            announce(section.title.lower())
             found[section] = section.compute(table, chosen)
             move(number, len(SECTIONS))
         by_key = {section.key: one for section, one in found.items()}

@@ -2,11 +2,10 @@
 
 Conventions: an item is a stimulus; a cell is the mean of a participant's repeated ratings of an item, NaN for none;
 only items with role ``test`` count, because the hidden reference and the anchors are chosen to be far apart and would
-inflate every correlation. Every public function that takes ratings passes them through `open_ratings` first: the index
-of a table means nothing, a row is one judgement. A judgement marked in a column ``rejected`` does not count, whatever
-its rating; the notes count them. A stimulus is named by ``stimulus_id``, or by recording, reducer and level together,
-or else by ``stimulus`` or ``item``. What is said of other recordings rests on how many different things were recorded:
-intervals draw sources, with all their recordings, and mixed models hold what those of a source share.
+inflate every correlation. The index of a table means nothing (`open_ratings`), a row is one judgement; one marked in a
+column ``rejected`` does not count, and the notes count them. A stimulus is named by ``stimulus_id``, or by recording,
+reducer and level together, or else by ``stimulus`` or ``item``. Intervals draw sources, with all their recordings, and
+mixed models hold what the recordings of a source share.
 """
 
 from __future__ import annotations
@@ -96,21 +95,6 @@ class Table(Result):
             The same metrics and notes, and fewer rows.
         """
         return replace(self, rows=_choose(self.rows, scale, level))
-
-    def items(self) -> DataFrame:
-        """Average the ratings of every stimulus.
-
-        Returns
-        -------
-        DataFrame
-            A row per stimulus, scale and level: role, recording, reducer, rating (mean over participants of their mean
-            over repeats), n_participants, and the metrics.
-        """
-        keys = ["scale", "level", "role", "recording", "reducer", STIMULUS]
-        cells = self.rows.groupby([*keys, "participant"], observed=True)["rating"].mean()
-        means = cells.groupby(keys, observed=True).agg(rating="mean", n_participants="size")
-        metrics = self.rows.drop_duplicates(STIMULUS).set_index(STIMULUS)
-        return means.reset_index().join(metrics[[*self.metrics, *self.further]], on=STIMULUS)
 
     def votes(self) -> DataFrame:
         """Lay the ratings of test stimuli of one scale and level out as items by raters.

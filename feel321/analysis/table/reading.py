@@ -1,22 +1,21 @@
 """Ratings joined with their stimuli, labels and further metrics: one tidy table, or one clear line about what is wrong.
 
 Conventions: ratings run from 0 to 100; one row per judgement; recording, reducer, level, role and the metrics of a
-stimulus come from the manifest. `reference_id` names another stimulus, or `surface`, or is empty. Nothing is repaired
-and nothing is dropped silently: what is left out, or assumed because a column is missing, is in `Table.notes`.
+stimulus come from the manifest. `reference_id` names another stimulus, or `surface`, or is empty. Factors in which
+participants differ come from `participants.csv`; no test compares groups of people. Nothing is repaired and nothing is
+dropped silently: what is left out, or assumed because a column is missing, is in `Table.notes`.
 
-A study whose participants differ, in how they hold the tool for example, writes `participants.csv` with a column for
-each such factor: they become columns of the judgements; no test compares groups of people.
-
-Any numeric column of the manifest is a metric. Further metrics are the rotation statistics of the metrics, the metrics
-of signals as they were delivered, and counterparts that no orientation of the sensor changes. A stimulus has them from
-the manifest, from the ratings (the mean over its judgements), or from the caller. They are explored, so no primary
-analysis and no correction for several tests holds them, unless the analysis declares them as its metrics.
+Any numeric column of the manifest is a metric. A stimulus has further metrics from the manifest, from the ratings (the
+mean over its judgements), or from the caller. They are explored, so no primary analysis and no correction for several
+tests holds them, unless the analysis declares them as its metrics.
 """
 
 from __future__ import annotations
 
 import csv
 import os
+import unicodedata
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,10 +25,10 @@ import numpy as np
 
 from feel321 import intake
 from feel321.analysis.table import metrics as metrics_of
-from feel321.analysis.table import notes as remarks
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.analysis.table.schema import refuse_lines, shorten
+from feel321.analysis.words import name_some
 from feel321.doors import as_names, as_path, describe
 from feel321.names import REDUCER_NAMES
 from feel321.types import MetricInfo, PathLike
@@ -51,16 +50,25 @@ ROSTER = frozenset({
 """Columns on the progress of a participant; all others, but for the participant's name, are labels."""
 
 OPTIONAL = (
-    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
-)  # fmt: skip
+    "protocol",
+    "response_time_s",
+    schema.AMPLITUDE,
+    schema.SENSATION,
+    schema.ERROR,
+    schema.SOURCE,
+)
+"""fmt: skip."""
+
 """Columns that judgements keep where there are any."""
 
-JUDGEMENT = (
-    "participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id", OTHER,
-)  # fmt: skip
+JUDGEMENT = "participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id", OTHER
+"""fmt: skip."""
+
 """What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
 repeats are counted instead, so does what it was judged against."""
 
+SHORT = 10  # Points below which a scale's highest rating makes one doubt that it went to 100
+SPACE = "Where a map of the dissimilarities can be made, see The space of what was felt."
 SURFACED, UNLISTED = "the real surface", "what the manifest does not list"
 FOREIGN = "a stimulus of another recording"
 
@@ -141,8 +149,8 @@ def read_table(
     stimuli, joined = _join_further(stimuli, rows, given, what=what, listed=where)
     notes += [*given.notes, *joined, *more_notes]
     rows, told = _join_stimuli(rows, stimuli, what)
-    notes += remarks.note_gaps(rows, stimuli, planned)
-    notes += [*told, *remarks.note_sources(rows), *remarks.note_lookalikes(rows)]
+    notes += note_gaps(rows, stimuli, planned)
+    notes += [*told, *note_sources(rows), *note_lookalikes(rows)]
     explored = _choose_further(rows, planned, given=given)
     columns = [*planned, *explored]
     optional = [name for name in OPTIONAL if name in rows and name not in columns]
@@ -193,7 +201,7 @@ def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[s
     left, left_out = leave_rejected(sheet, what=what)  # which needs no rating
     notes += left_out
     if lost := sorted(set(sheet["participant"]) - set(left["participant"])):
-        names = remarks.list_names(lost)
+        names = list_names(lost)
         notes.append(f"Participants without a valid judgement, who do not count: {names}.")
     sheet = left.drop(columns="rejected", errors="ignore").copy()
     for name in map(str, sheet):
@@ -201,7 +209,7 @@ def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[s
     sheet = _leave_simulated(sheet, what, notes)
     sheet = sheet.assign(**{key: "" for key in ("reference_id", OTHER) if key not in sheet})
     _check_answers(sheet, what)
-    notes += [*_check_doubles(sheet, what), *remarks.note_ratings(sheet)]
+    notes += [*_check_doubles(sheet, what), *note_ratings(sheet)]
     if "repeat" not in sheet:
         alike = ["participant", STIMULUS, "reference_id", OTHER, "scale"]
         sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
@@ -483,3 +491,99 @@ def _join_roster(rows: DataFrame, ratings: Path | DataFrame, notes: list[str]) -
         then = "see Robustness to other choices" if name in RIG else "no test compares them"
         notes.append(f"Participants differ in {what}: {then}.")
     return rows
+
+
+# What a table lacks or may have confused is said, never repaired.
+
+
+def list_names(names: Sequence[str]) -> str:
+    """List names for a note; of more than three, the others are counted."""
+    return name_some([shorten(name) for name in names])
+
+
+def note_ratings(sheet: DataFrame) -> Iterator[str]:
+    """Say which scales may have had other ends or were judged in several tasks, and which playbacks were broken."""
+    for scale, rows in sheet.groupby("scale"):
+        name, low, high = shorten(str(scale)), rows["rating"].min(), rows["rating"].max()
+        if low < high <= SHORT:
+            do = "if 100 was not its upper end, rescale them to 0 to 100"
+            yield f"Ratings of scale {name} run from {low:g} to {high:g}: {do}."
+        tasks = sorted(rows["protocol"].unique()) if "protocol" in rows else []
+        if len(tasks) > 1:
+            listed = list_names(tasks)
+            yield f"Scale {name} was judged in {len(tasks)} protocols, which are taken together: {listed}."
+    broken = sheet.loc[sheet["underruns"] > 0, "participant"] if "underruns" in sheet else ()
+    if len(broken):
+        which = f"{len(broken)} judgements of {len(set(broken))} participants"
+        how = "they count; mark them as rejected to leave them out"
+        yield f"{which} were made on an interrupted playback (underruns): {how}."
+
+
+def note_sources(rows: DataFrame) -> Iterator[str]:
+    """Say how many independent sources the rated recordings come from, where they are fewer."""
+    tests = rows[ROLE] == TEST
+    recordings, sources = (rows.loc[tests, name].nunique() for name in ("recording", "source"))
+    start = f"The {recordings} recordings come from {sources} source{'s' if sources > 1 else ''}, turned, cut or edited"
+    if sources == 1 < recordings:
+        yield f"{start}: they are not independent, and the results do not extend to other sources."
+    elif sources < recordings:
+        what = "they are not independent, and what is said of others rests on sources"
+        draws = (
+            "Two-way intervals draw them; mixed models hold what the recordings of a source share"
+        )
+        yield f"{start}: {what}. {draws}, as a whole and reducer by reducer."
+
+
+def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
+    """Say which stimuli nobody rated, and which metrics some of those that were rated lack."""
+    apart, tests = rows[rows["scale"].isin(schema.APART)], rows[rows[ROLE] == TEST]
+    rated = {*rows[STIMULUS], *apart["reference_id"], *apart["other_id"]}
+    if unrated := [str(name) for name in manifest.index if name not in rated]:
+        yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {list_names(unrated)}."
+    for name in (name for name in metrics_of.describe_explored(metrics) if name in rows):
+        lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
+        if len(lacking):
+            first = shorten(str(lacking[0]))
+            yield f"'{name}' is not reported: {len(lacking)} rated test stimuli have none, first {first}."
+
+
+def note_lookalikes(rows: DataFrame) -> Iterator[str]:
+    """Say which names look alike, but for what the eye does not see: capitals, accents' form, kinds of blanks."""
+
+    def look(name: str) -> str:
+        letters = unicodedata.normalize("NFKC", name)
+        seen = "".join(letter for letter in letters if unicodedata.category(letter) != "Cf")
+        return " ".join(seen.split()).casefold()
+
+    for column in ("participant", STIMULUS, "recording", "reducer", "level", "scale"):
+        looks = {name: look(name) for name in sorted(rows[column].unique())}
+        times = Counter(looks.values())
+        if alike := [name for name, seen in looks.items() if times[seen] > 1]:
+            how = "that differ in capitals, accents or blanks only are taken as different"
+            yield f"Names in column '{column}' {how}: {list_names(alike)}."
+
+
+def note_apart(rows: DataFrame) -> Iterator[str]:
+    """Say which scales enter no association, and why."""
+    counts = rows["scale"].value_counts()
+    for scale in (scale for scale in schema.APART if scale in counts):
+        own, n = rows[rows["scale"] == scale], counts[scale]
+        none = f"Scale '{scale}': none of its {n} judgements enters an association, because"
+        pairs, turned = (int((own[ROLE] == role).sum()) for role in (schema.PAIR, TEST))
+        if scale == schema.ANSWERED:
+            what = "they are right (100) or wrong (0). The profile holds the percentage correct"
+            yield f"{none} {what}; guessing gives 50."
+        elif scale in schema.CHOSEN:
+            where = "They are evaluated under Choices between two stimuli"
+            yield f"{none} one of two stimuli was chosen. {where}."
+        elif not turned:
+            why = "a metric describes one stimulus and they compare two"
+            held = f"The profile holds the {n - pairs} that compare with the reference"
+            yield f"{none} {why}. {held}, and leaves out {pairs}. {SPACE}"
+        else:
+            yield (
+                f"Scale '{scale}': {turned} of its {n} judgements compare a reduction with its original. Those enter "
+                f"associations and slopes as a similarity, 100 less the dissimilarity (scale '{schema.RECAST}'): with "
+                "the dissimilarity itself every slope and every correlation has the opposite sign. The other "
+                f"{n - turned} (two reductions, identical pairs, anchors) enter none of them. {SPACE}"
+            )

@@ -42,7 +42,7 @@ from feel321.analysis.tradeoff.cost import (
     time_reducers,
     time_stream,
 )
-from feel321.doors import announce, as_seed, describe, follow
+from feel321.doors import as_seed, describe, follow
 from feel321.jobs import Job, Workers, as_workers, gather_results
 from feel321.names import MOST_DB
 from feel321.stimuli.match import (
@@ -234,7 +234,6 @@ def make_row(place: Place, measure: str, values: object, *, kind: str = "recordi
 
 def measure_recording(recording: Recording, scope: Scope) -> list[Row]:
     """Measure all that takes no time: properties of a recording, and what every reducer makes of it."""
-    announce(recording.name)
     about = (recording.name, "", RECORDED)
     felt = felt_level(recording) if recording.rate_hz >= 2 * LOWEST_HZ else 0.0
     known = {"rate_hz": recording.rate_hz, "duration_s": recording.duration_s, "felt_level": felt}
@@ -492,7 +491,6 @@ def _measure_costs(
         piece = take_strongest(recording, effort.longest_s)
         alike.setdefault((piece.n_samples, piece.rate_hz), []).append(piece)
     for pieces in alike.values():
-        announce(f"speed on {pieces[0].name}")
         timed = time_reducers(scope.candidates, pieces[0], rounds=effort.rounds, rng=rng)
         for candidate, (median, low, high) in timed:
             own = {"low": low, "high": high, "n": effort.rounds}
@@ -500,7 +498,6 @@ def _measure_costs(
             rows += [make_row(place, "cost_ratio", median) | own for place in places]
         for _ in pieces:
             tick()
-    announce("speed of streams")
     for candidate in scope.candidates:
         times_us = time_stream(candidate, rng)
         if times_us is not None:

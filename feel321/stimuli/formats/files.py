@@ -35,17 +35,16 @@ from feel321.types import Samples
 Arrays = Mapping[str, NDArray[Any]]
 Value = TypeVar("Value", float, str)
 
+# Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings.
 ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
-"""Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings."""
-
 CHILD_S = 300.0  # So long may a MATLAB file take to be read
 
 
 def read_npz(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
     """Read an NPZ archive by the names of its arrays."""
-    content = intake.read_bytes(path)
+    content = io.BytesIO(intake.read_bytes(path))
     with tables.foreign_errors("an NPZ archive"):
-        archive = np.load(io.BytesIO(content), allow_pickle=False)
+        archive = np.load(content, allow_pickle=False)
         # What the directory promises; no more is read of any array.
         intake.check_bytes(sum(one.file_size for one in archive.zip.infolist()), "its arrays")
         arrays = {name: np.asarray(array) for name, array in archive.items()}
@@ -54,9 +53,9 @@ def read_npz(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
 
 def read_npy(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
     """Read a single array."""
-    content = intake.read_bytes(path)
+    content = io.BytesIO(intake.read_bytes(path))
     with tables.foreign_errors("an NPY array"):
-        array = np.load(io.BytesIO(content), allow_pickle=False)
+        array = np.load(content, allow_pickle=False)
     return tables.Decoded(tables.as_three_axes(_as_numbers(array, "the array")))
 
 
@@ -103,25 +102,7 @@ def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
         coarse = columns[name].dtype.type if columns[name].dtype.kind == "f" else np.float64
         time_s = stamps * second
         step_s = float(np.spacing(coarse(np.abs(stamps).max(initial=0.0)))) * second
-    unit, rate_hz = _find_facts(arrays, {axes[0]: place.unit} if place.unit else {})
-    return tables.Decoded(samples, unit, rate_hz, time_s=time_s, time_step_s=step_s)
-
-
-def _choose(names: Sequence[str], request: tables.ReadingOptions, *, found: str) -> tables.Columns:
-    """Choose the arrays of samples and time: as asked for, else by their names."""
-    wanted, n = request.columns, len(names)
-    if wanted is not None:
-        return tables.pick_columns(wanted, labels=names, n_columns=n, whole=True)
-    bare = [tables.split_unit(name, tables.ACCELERATION_SPELLINGS)[0] for name in names]
-    if not any(tables.AXIS.fullmatch(one) or one.casefold() in ACCELERATION_KEYS for one in bare):
-        must = "an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z'"
-        raise ValueError(f"{must}, got {found}; or say columns=(name,)")
-    return tables.find_columns(names, wholes=ACCELERATION_KEYS)
-
-
-def _find_facts(arrays: Arrays, units: dict[str, str]) -> tuple[str | None, float | None]:
-    """Find unit and rate among named arrays; units: what labels say already."""
-    rates = {}
+    units, rates = {axes[0]: place.unit} if place.unit else {}, dict[str, float]()
     for name, array in arrays.items():
         if name.casefold() in tables.RATE_KEYS:
             if array.size != 1:
@@ -129,7 +110,19 @@ def _find_facts(arrays: Arrays, units: dict[str, str]) -> tuple[str | None, floa
             rates[name] = float(_as_numbers(array, "the rate").item())
         elif name.casefold() in tables.UNIT_KEYS:
             units[name] = tables.parse_unit(str(array.squeeze()))
-    return _agree(units), _agree(rates)
+    return tables.Decoded(samples, _agree(units), _agree(rates), time_s=time_s, time_step_s=step_s)
+
+
+def _choose(names: Sequence[str], request: tables.ReadingOptions, *, found: str) -> tables.Columns:
+    """Choose the arrays of samples and time: as asked for, else by their names."""
+    if request.columns is not None:
+        n = len(names)
+        return tables.pick_columns(request.columns, labels=names, n_columns=n, whole=True)
+    bare = [tables.split_unit(name, tables.ACCELERATION_SPELLINGS)[0] for name in names]
+    if not any(tables.AXIS.fullmatch(one) or one.casefold() in ACCELERATION_KEYS for one in bare):
+        must = "an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z'"
+        raise ValueError(f"{must}, got {found}; or say columns=(name,)")
+    return tables.find_columns(names, wholes=ACCELERATION_KEYS)
 
 
 def _agree(found: Mapping[str, Value]) -> Value | None:
@@ -300,10 +293,10 @@ def _numbers(text: str, axis: str) -> Samples:
     except ValueError as error:
         got = intake.clip(str(error), 120)
         raise ValueError(f"a value of the {axis} axis is not a number ({got})") from None
-    if not np.isfinite(values).all():
-        i = int(np.argmin(np.isfinite(values)))
-        got = intake.clip(words[i])
-        raise ValueError(f"value {i} of the {axis} axis must be a finite number, got {got!r}")
+    if not (is_finite := np.isfinite(values)).all():
+        i = int(np.argmin(is_finite))
+        must = f"value {i} of the {axis} axis must be a finite number"
+        raise ValueError(f"{must}, got {intake.clip(words[i])!r}")
     return values
 
 
@@ -337,8 +330,7 @@ def read_lmt(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
     return replace(about, sources=tuple(sisters), name=f"{head}_{tail}")
 
 
-LOST_SAMPLE = 1.5
-"""An interval of so many periods means that samples were lost; less is the coarse clock of the blocks."""
+LOST_SAMPLE = 1.5  # periods: a longer interval has lost samples, a shorter one a coarse clock
 
 
 def read_ide(path: Path, _: tables.ReadingOptions) -> tables.Decoded:

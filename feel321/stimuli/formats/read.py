@@ -106,11 +106,11 @@ def settle_sampling(
 ) -> tuple[Samples, float, tuple[str, ...]]:
     """Settle the rate, and check that the samples are regular, or make them so; samples, rate and notes."""
     requested = None if request.rate_hz is None else check_rate(request.rate_hz)
-    stated = _agree(requested, decoded.rate_hz, who="the file")
+    stated, samples = _agree(requested, decoded.rate_hz, who="the file"), decoded.acceleration
     if decoded.time_s is None:
         if stated is None:
             raise ValueError("there is no sampling rate and no time column; give rate_hz=...")
-        return decoded.acceleration, stated, ()
+        return samples, stated, ()
     time_s = _check_stamps(decoded, decoded.time_s)
     finding = _find_jitter(time_s, decoded.time_step_s)
     if not finding:
@@ -119,12 +119,12 @@ def settle_sampling(
         share = decoded.time_step_s * rate_hz
         steps = f"{decoded.time_step_s:g} s, {share:.0%} of the period"
         note = f"time stamps show steps of {steps}: finer jitter cannot be seen"
-        return decoded.acceleration, rate_hz, (note,) if share > JITTER_LIMIT else ()
+        return samples, rate_hz, (note,) if share > JITTER_LIMIT else ()
     if not request.resample:
         must = f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}"
         how = "resample=True (command line: --resample) interpolates to an even rate"
         raise ValueError(f"{must}; {how}")
-    even, rate_hz = _resample(decoded.acceleration, time_s)
+    even, rate_hz = _resample(samples, time_s)
     _agree(stated, rate_hz, who="the time stamps")
     made = f"{even.shape[1]} samples at {rate_hz:.6g} Hz by cubic spline"
     return even, rate_hz, (f"resampled on request to {made}: {finding}",)
@@ -181,8 +181,8 @@ def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
     period = float(np.median(np.diff(time_s)))
     n_even = int(elapsed[-1] / period * (1 + 1e-12)) + 1
     intake.check_samples(n_even, len(acceleration), 1 / period)
-    grid = np.arange(n_even) * period
-    even = make_interp_spline(elapsed, acceleration, k=3, axis=1)(np.minimum(grid, elapsed[-1]))
+    grid = np.minimum(np.arange(n_even) * period, elapsed[-1])
+    even = make_interp_spline(elapsed, acceleration, k=3, axis=1)(grid)
     return np.asarray(even, dtype=np.float64), 1 / period
 
 

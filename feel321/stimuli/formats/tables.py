@@ -312,17 +312,15 @@ def _find_labels(
         raise ValueError(f"a table must have at most {MOST_COLUMNS} columns, got {n_columns}")
     headers = [content for content in above if content[0] not in COMMENT_MARKS]
     if len(headers) > 1:
-        got = f"got {len(headers)}"
-        raise ValueError(f"there must be at most one header line above the numbers, {got}")
-    if headers:
-        labels = tuple(_split_row(headers[0], delimiter))
-        if len(labels) != n_columns:
-            got = f"got {len(labels)} names but {n_columns} cells on line {line}"
-            raise ValueError(f"the header must name each cell, {got}")
-        return labels
+        must = "there must be at most one header line above the numbers"
+        raise ValueError(f"{must}, got {len(headers)}")
     # numpy.savetxt writes its header as a comment.
-    comment = tuple(_split_row(above[-1].lstrip(COMMENT_MARKS + " "), delimiter)) if above else ()
-    return comment if len(comment) == n_columns else None
+    comments = [content.lstrip(COMMENT_MARKS + " ") for content in above[-1:]]
+    labels = tuple(_split_row(one, delimiter) for one in headers or comments)
+    if headers and len(labels[0]) != n_columns:
+        got = f"got {len(labels[0])} names but {n_columns} cells on line {line}"
+        raise ValueError(f"the header must name each cell, {got}")
+    return tuple(labels[0]) if labels and len(labels[0]) == n_columns else None
 
 
 def read_numbers(table: TextTable, columns: Sequence[int]) -> Samples:

@@ -16,7 +16,7 @@ import math
 import secrets
 import shutil
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import count
 from pathlib import Path
@@ -25,8 +25,16 @@ from typing import Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import announce, as_path, describe, follow
-from feel321.files import hold_lock, make_folder, move_files, sweep, write_bytes, write_text
+from feel321.doors import as_path, describe, follow
+from feel321.files import (
+    digest_file,
+    hold_lock,
+    make_folder,
+    move_files,
+    sweep,
+    write_bytes,
+    write_text,
+)
 from feel321.jobs import Workers, as_workers, run_jobs
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.match import HIGHEST_HZ
@@ -47,8 +55,7 @@ from feel321.types import PathLike, Progress, Samples
 
 BUILT = "built.jsonl"
 PARTS = ".parts"
-THREADS = 2
-"""Of a process: transforms release the interpreter, and each file waits for the disk. A lab's own code gets one."""
+THREADS = 2  # of a process: transforms release the interpreter, files wait for the disk
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +68,7 @@ class Built:
     row: Stimulus
 
 
-History = Mapping[str, Sequence[Built]]
-"""What the last build remembers, by recording."""
+History = Mapping[str, Sequence[Built]]  # what the last build remembers, by recording
 
 
 def read_history(folder: Path) -> History:
@@ -203,7 +209,8 @@ def build_set(
         # A process that was left over from a killed build does not know this name.
         parts = folder / f"{PARTS}-{secrets.token_hex(4)}"
         make_folder(parts)
-        steps, threads = count(1), 1 if recipe.methods else THREADS
+        steps = count(1)
+        threads = 1 if recipe.methods else THREADS  # a lab's own code need not bear more
 
         def run(work: Callable[..., Any], given: Iterable[tuple[Any, ...]]) -> list[Any]:
             """Do the work for each recording, and return what it gave, in their order."""
@@ -239,10 +246,8 @@ def survey_recording(
     before = {one.key: one.measured for one in known}
     measured = {one.key: before[one.key] for one in drafts if one.key in before}
     new = [one for one in drafts if one.key not in measured]
-    if new and parts is None:
-        announce(recording.name)
     try:
-        for draft, samples, note in render.render_drafts(recording, new, recipe) if new else ():
+        for draft, samples, note in render.render_drafts(recording, new, recipe):
             measured[draft.key] = note
             if parts is not None:
                 np.save(_part_path(parts, draft), samples.astype(np.float32))
@@ -288,38 +293,33 @@ def _write_recording(
 ) -> list[Built]:  # fmt: skip
     """Write the files of one recording that are not there already; returns what is to be remembered of all."""
     given, facts = source
-    before = {one.row.stimulus_id: one for one in known}
-    rows: dict[str, Stimulus] = {}
+    wanted = {(one.stimulus_id, one.key, one.gain) for one in orders}
+    rows = {
+        one.row.stimulus_id: one.row
+        for one in known
+        if (one.row.stimulus_id, one.key, one.row.gain) in wanted
+        and (path := parts.parent / one.row.file).is_file()
+        and digest_file(path) == one.row.sha256
+    }
+    lacking: defaultdict[str, list[Foreseen]] = defaultdict(list)
     for order in orders:
-        one = before.get(order.stimulus_id)
-        if one and (one.key, one.row.gain) == (order.key, order.gain):
-            path = parts.parent / one.row.file
-            if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == one.row.sha256:
-                rows[order.stimulus_id] = one.row
-    lacking = [one for one in orders if one.stimulus_id not in rows]
-    drafts = {one.key: one for one in lacking}
-    for key, samples in _list_samples(given, drafts.values(), recipe=recipe, parts=parts):
-        for order in lacking:
-            if order.key == key:
-                rows[order.stimulus_id] = _write(order, samples, facts, recipe=recipe, parts=parts)
-    return [Built(one.recording, one.key, one.measured, rows[one.stimulus_id]) for one in orders]
+        if order.stimulus_id not in rows:
+            lacking[order.key].append(order)
 
+    def write(key: str, samples: Samples) -> None:
+        for order in lacking[key]:
+            rows[order.stimulus_id] = _write(order, samples, facts, recipe=recipe, parts=parts)
 
-def _list_samples(
-    given: Recording | Unread, drafts: Iterable[Foreseen], *, recipe: Recipe, parts: Path
-) -> Iterator[tuple[str, Samples]]:
-    """Give the samples of drafts by key, one after the other: of their parts, or else rendered again."""
-    missing = []
-    for one in drafts:
-        path = _part_path(parts, one)
-        if path.is_file():
-            yield one.key, np.load(path).astype(np.float64)
+    missing = []  # nothing was kept of them: they are rendered again
+    for key, (first, *_) in lacking.items():
+        if (path := _part_path(parts, first)).is_file():
+            write(key, np.load(path).astype(np.float64))
             path.unlink()
         else:
-            missing.append(one)
-    if missing:
-        for draft, samples, _ in render.render_drafts(read_given(given), missing, recipe):
-            yield draft.key, samples.astype(np.float32).astype(np.float64)
+            missing.append(first)
+    for draft, samples, _ in render.render_drafts(given, missing, recipe):
+        write(draft.key, samples.astype(np.float32).astype(np.float64))
+    return [Built(one.recording, one.key, one.measured, rows[one.stimulus_id]) for one in orders]
 
 
 def _write(

@@ -14,7 +14,6 @@ import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
@@ -111,14 +110,11 @@ COLUMN_UNITS: dict[str, str] = {
     if name != "metrics"
 }
 COLUMNS = tuple(COLUMN_UNITS)
-FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]
-"""Columns of further metrics, whose cells may be empty."""
-
-STRONG_GAIN = 100.0
-"""40 dB: a recording that is played with more is mostly sensor noise, or its unit is wrong."""
-
-# The temporal match of an anchor is 0 but for rounding; so may be that of a silent test stimulus.
-_ROUNDING = 1e-9
+FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]  # their cells may be empty
+STRONG_GAIN = 100.0  # 40 dB: such a recording is mostly sensor noise, or its unit is wrong
+ROUNDING = (
+    1e-9  # in the temporal match of an anchor, which is 0; so may a silent test stimulus's be
+)
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
@@ -198,12 +194,10 @@ class StimulusSet(Result):
 
 def find_raised(gains: Iterable[tuple[str, str, float]]) -> tuple[str, ...]:
     """Name recordings played over 40 dB stronger than recorded; gains: recording, arm, gain: the least counts."""
-    least: dict[tuple[str, str], float] = {}
+    least = defaultdict[str, defaultdict[str, float]](lambda: defaultdict(lambda: math.inf))
     for recording, level, gain in gains:
-        least[recording, level] = min(gain, least.get((recording, level), math.inf))
-    raised: dict[str, float] = {}
-    for (recording, _), gain in least.items():
-        raised[recording] = max(gain, raised.get(recording, 0.0))
+        least[recording][level] = min(gain, least[recording][level])
+    raised = {recording: max(own.values()) for recording, own in least.items()}
     return tuple(
         f"{name}: played {20 * math.log10(gain):.0f} dB stronger than it was recorded (gain {gain:.3g}); is it "
         "more than sensor noise, and its unit right? If not, leave it out"
@@ -311,40 +305,36 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
     ValueError
         If the manifest is damaged; the message names the line.
     """
+    from pydantic import TypeAdapter
+
     path = as_path(folder, "folder") / "manifest.csv"
     if not path.is_file():
         do = "build the stimulus set first (feel321 build)"
         raise FileNotFoundError(f"{path}: there is no manifest; {do}")
     sha256, line = digest_file(path), 1
-    stimuli: list[Stimulus] = []
+    model, stimuli = TypeAdapter(Stimulus), list[Stimulus]()
     try:
         with intake.open_text(path) as text:
             for row in csv.DictReader(text, strict=True):
                 line += 1
-                stimuli.append(_read_row(row))
+                stimuli.append(_read_row(row, model))
     except csv.Error as error:
         raise ValueError(f"{path}: not a CSV table ({error}); build the set again") from None
     except UnicodeError:
         raise
     except ValueError as error:
-        raise ValueError(f"{path}, line {line}: {_word(error)}; build the set again") from None
+        said = _word(error).removeprefix(f"{path.name}: ")
+        raise ValueError(f"{path}, line {line}: {said}; build the set again") from None
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")
     return StimulusSet(path.parent, tuple(stimuli), sha256)
 
 
-@cache
-def _find_model() -> TypeAdapter[Stimulus]:
-    from pydantic import TypeAdapter
-
-    return TypeAdapter(Stimulus)
-
-
-def _read_row(row: dict[str, str]) -> Stimulus:
+def _read_row(row: dict[str, str], model: TypeAdapter[Stimulus]) -> Stimulus:
     """Read the cells of a line; empty ones of further metrics are not known."""
     own = {name: row.get(name) for name in COLUMNS if row.get(name) or name not in FURTHER}
     metrics = {name: cell or math.nan for name, cell in row.items() if name not in COLUMNS}
-    found = _find_model().validate_python(own | {"metrics": metrics})
+    found = model.validate_python(own | {"metrics": metrics})
     if Path(found.file).name != found.file:
         raise ValueError(f"file must be a name in the set's own folder, got {found.file!r}")
     return found
@@ -374,9 +364,9 @@ def check_stimuli(folder: PathLike) -> list[str]:
     except (OSError, ValueError) as error:
         return [str(error)]
     problems = [problem for stimulus in built for problem in _check_file(stimulus, built.folder)]
-    strangers = {path.name for path in built.folder.iterdir()} - {one.file for one in built}
+    strangers = {path.name for path in built.folder.glob("*.wav")} - {one.file for one in built}
     do = "not in the manifest; move it away, or build the set again"
-    problems += [f"{name}: {do}" for name in sorted(strangers) if name.endswith(".wav")]
+    problems += [f"{name}: {do}" for name in sorted(strangers)]
     together = defaultdict(list)
     for stimulus in built:
         together[stimulus.recording, stimulus.level].append(stimulus)
@@ -387,20 +377,19 @@ def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
     name, path = stimulus.file, folder / stimulus.file
     if not path.is_file():
         yield f"{name}: missing; build the set again"
-        return
-    if hashlib.sha256(path.read_bytes()).hexdigest() != stimulus.sha256:
+    elif digest_file(path) != stimulus.sha256:
         yield f"{name}: was changed after it was built (its SHA-256 differs); build the set again"
-        return
-    if stimulus.clipped:
-        do = "lower the gain or raise full_scale_m_s2"
-        yield f"{name}: {stimulus.clipped} samples clipped; {do}"
-    try:
-        samples, rate = read_wav(path)
-    except ValueError as error:
-        yield str(error)
-        return
-    if (n := samples.shape[-1]) != stimulus.n_samples or rate != stimulus.rate_hz:
-        yield f"{name}: {n} samples at {rate} Hz, but the manifest says otherwise; build again"
+    else:
+        if stimulus.clipped:
+            do = "lower the gain or raise full_scale_m_s2"
+            yield f"{name}: {stimulus.clipped} samples clipped; {do}"
+        try:
+            samples, rate = read_wav(path)
+        except ValueError as error:
+            yield str(error)
+            return
+        if (n := samples.shape[-1]) != stimulus.n_samples or rate != stimulus.rate_hz:
+            yield f"{name}: {n} samples at {rate} Hz, but the manifest says otherwise; build again"
 
 
 def _check_anchors(stimuli: Sequence[Stimulus]) -> Iterator[str]:
@@ -411,7 +400,7 @@ def _check_anchors(stimuli: Sequence[Stimulus]) -> Iterator[str]:
         own = f"spectral match {anchor.spectral_match:.3g}, temporal {anchor.temporal_match:.3g}"
         for test in tests:
             better = anchor.spectral_match >= test.spectral_match
-            if better or anchor.temporal_match > test.temporal_match + _ROUNDING:
+            if better or anchor.temporal_match > test.temporal_match + ROUNDING:
                 other = f"{test.spectral_match:.3g}, {test.temporal_match:.3g}"
                 lead = f"{anchor.stimulus_id}: {own}, not below {test.stimulus_id} ({other})"
                 yield f"{lead}; an anchor must be worse than every test: {do}"

@@ -81,29 +81,17 @@ def read_given(given: Recording | Unread) -> Recording:
     return given.read() if isinstance(given, Unread) else given
 
 
-EASILY_FELT = 2.0
-"""Acceleration thresholds up to this multiple of the lowest count as easily felt: up to 250 Hz."""
-
-ENVELOPE_HZ = 50.0
-"""Envelopes are followed up to this frequency: equal energy in shorter segments is hard to tell apart."""
-
-FAINT = 0.1
-"""Share of the energy in the quietest band of all: it may hardly be felt, so more would cost headroom for nothing."""
-
-PRECEDENCE = 1000
-"""A band with 1 % more energy than the quietest gets exp(-10) of its share; bands that differ by rounding share."""
-
-LOWEST_SHARE = 1e-30  # Bands with less of the energy are left out: 300 dB below the hum
-DRIFT_HZ = (3.0, 12.0)
-DRIFTS = 8
-"""A hum's frequency drifts within its band by so many sinusoids, whose rates are drawn from this range."""
-
-RIDGE = 1e-14
-PASSES = 3
-"""Axes that are parallel but for rounding are not told apart, without a threshold that rounding could cross."""
-
-MARGIN = 0.95
-"""A mid anchor's peaks are kept to this share of its recording's, for what resampling adds."""
+EASILY_FELT = 2.0  # thresholds of acceleration up to this multiple of the lowest: up to 250 Hz
+ENVELOPE_HZ = (
+    50.0  # envelopes are followed so far: energy in shorter segments is hard to tell apart
+)
+FAINT = 0.1  # of the energy in the quietest band of all: it may hardly be felt, and cost headroom
+PRECEDENCE = 1000  # a band with 1 % more energy than the quietest gets exp(-10) of its share
+LOWEST_SHARE = 1e-30  # bands with less of the energy are left out: 300 dB below the hum
+DRIFTS, DRIFT_HZ = 8, (3.0, 12.0)  # sinusoids, of rates drawn from there, by which a hum drifts
+# Axes that are parallel but for rounding are not told apart, without a threshold that rounding could cross.
+RIDGE, PASSES = 1e-14, 3
+MARGIN = 0.95  # of its recording's peaks, for those of a mid anchor: resampling adds to them
 
 
 def low_anchor(
@@ -117,10 +105,18 @@ def low_anchor(
 def mid_anchor(
     recording: Recording, rng: np.random.Generator, *, threshold: str = CONTACTOR
 ) -> Samples:
-    """Make a hum as `low_anchor` does, with the recording's envelope."""
-    hum = _hum(recording, rng)
-    envelope = _flatten(_envelope(recording), hum, recording, threshold=threshold)
-    return _with_energy_of(recording, hum * envelope)
+    """Make a hum as `low_anchor` does, with the recording's envelope.
+
+    That is the root of the three axes' energy, smoothed over half a period of the highest envelope frequency; RMS 1.
+    """
+    from scipy.ndimage import gaussian_filter1d
+
+    hum, axes = _hum(recording, rng), recording.acceleration
+    width = recording.rate_hz / (2 * np.pi * ENVELOPE_HZ)
+    energy = gaussian_filter1d(np.einsum("in,in->n", axes, axes), width, mode="nearest")
+    smooth = np.maximum(energy, 0.0)
+    envelope = np.asarray(np.sqrt(smooth / smooth.mean()))
+    return _with_energy_of(recording, hum * _flatten(envelope, hum, recording, threshold=threshold))
 
 
 ANCHORS: Registry[Callable[..., Samples]] = Registry(
@@ -180,16 +176,6 @@ def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
     return hum
 
 
-def _envelope(recording: Recording) -> Samples:
-    """Root of the three axes' energy, smoothed over half a period of the highest envelope frequency; RMS 1."""
-    from scipy.ndimage import gaussian_filter1d
-
-    energy = np.einsum("in,in->n", recording.acceleration, recording.acceleration)
-    width = recording.rate_hz / (2 * np.pi * ENVELOPE_HZ)
-    smooth = np.maximum(gaussian_filter1d(energy, width, mode="nearest"), 0.0)
-    return np.asarray(np.sqrt(smooth / smooth.mean()))
-
-
 def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold: str) -> Samples:
     """Flatten an envelope softly until the anchor has no higher peaks; at most its root mean square marks the knee."""
     from scipy.optimize import brentq
@@ -229,8 +215,7 @@ LEVELS = ("as_is", "equal_intensity")
 """Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
 level, so that a rating cannot be one of strength."""
 
-ORIGINAL = "original"  # The reference that is the recording itself, on three channels
-NO_REFERENCE = "none"
+ORIGINAL, NO_REFERENCE = "original", "none"  # the recording itself, on three channels
 
 ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
 """Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for

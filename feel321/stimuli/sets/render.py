@@ -7,7 +7,7 @@ a build remembers what it measured.
 import hashlib
 import json
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from itertools import chain
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import announce, check_name
+from feel321.doors import check_name
 from feel321.extensions import Method
 from feel321.names import ANCHOR, METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
@@ -36,13 +36,15 @@ from feel321.stimuli.sets.recipe import (
     NO_REFERENCE,
     ORIGINAL,
     Recipe,
+    Unread,
     find_conditioning,
+    read_given,
 )
 from feel321.stimuli.thresholds import THRESHOLDS, loudest_levels, to_db
 from feel321.types import Metric, Reducer, Samples
 
+# A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence.
 ROUNDING = 1e-9
-"""A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence."""
 
 
 def find_reducer(recipe: Recipe, name: str) -> Reducer:
@@ -157,17 +159,18 @@ class _Scale:
 
 
 def render_drafts(
-    recording: Recording, wanted: Iterable[Draft], recipe: Recipe
+    given: Recording | Unread, wanted: Sequence[Draft], recipe: Recipe
 ) -> Iterator[tuple[Draft, Samples, Measured]]:
     """Make drafts one after the other: each with its samples for the rig in m/s², and what was measured."""
+    if not wanted:  # nor is the recording read
+        return
     try:
-        scale = _make_scale(recording, recipe)
+        scale = _make_scale(read_given(given), recipe)
         for draft in wanted:
-            announce(f"{recording.name}, {draft.reducer}")
             samples, played = _play(draft.reducer, scale, recipe)
             yield draft, played, _measure(samples, played, scale=scale, recipe=recipe)
     except ValueError as error:
-        raise ValueError(f"recording {recording.name!r}: {error}") from None
+        raise ValueError(f"recording {given.name!r}: {error}") from None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

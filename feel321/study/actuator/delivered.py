@@ -32,7 +32,7 @@ from feel321.stimuli.sets.render import Reduction, reduce_again
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.faults import Diagnosis
 from feel321.study.actuator.mixer import Frames
-from feel321.study.actuator.render import find_directions, find_mix
+from feel321.study.actuator.render import find_directions, find_mix, sum_motion
 from feel321.study.actuator.response import Band, find_inside
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
 from feel321.types import Samples
@@ -248,7 +248,4 @@ def find_moves(rig: Rig, n_tracks: int, seen: Mapping[str, Samples]) -> Samples:
     directions, unknown = (seen, []) if seen else find_directions(rig)
     if any(source in mix[name] for name in unknown for source in sources):
         return np.eye(n_tracks)
-    moves = np.zeros((len(AXES), n_tracks))
-    for name, direction in directions.items():
-        moves += np.outer(direction, [mix[name].get(source, 0.0) for source in sources])
-    return moves
+    return sum_motion(mix, directions, sources)

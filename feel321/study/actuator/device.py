@@ -235,7 +235,7 @@ class DeviceStream(Sink):
         self.name, sensor = device.name, rig.sensor
         self._columns = [channel - 1 for channel in sensor.channels] if sensor else []
         known = {"host_api": device.host_api, "is_program": device.is_program}
-        self.identity: dict[str, object] = {"device": device.name, **known}
+        self.identity |= {"device": device.name, **known}
         # What the device has to play: sound servers do not always say that it ran out.
         self._held_s, self._is_closed = OPENED_S, False
         self._untimed_s = nan  # time of the last call that did not say when its samples leave
@@ -312,33 +312,26 @@ class DeviceStream(Sink):
             return
         n, times, status = given
         self._last_s, before_s = perf_counter(), self._last_s
-        dac_s, dac_source = self._find_dac_time(times)
+        # A DAC time that is not after now only says that the interface does not know: DirectSound gives now itself
+        # (PortAudio#530), WDM-KS gives 0 (PortAudio#531). PortAudio splits a buffer that wraps around: its second part
+        # has the same now, and a DAC time that is later by the length of the first.
+        now_s, dac_s = times.currentTime, times.outputBufferDacTime
+        is_timed = dac_s > now_s and now_s != self._untimed_s
+        if not is_timed:
+            self._untimed_s, dac_s = now_s, max(dac_s, now_s) + self.latency_s
         # The device waited for this block longer than it had samples for, though it need not say so.
         block_s = n / self._rate_hz
         left_s = self._held_s - (self._last_s - before_s)
         held_s = min(self.latency_s, left_s) + block_s * DRIFT
         self._held_s = self.latency_s + block_s if left_s < 0 else held_s
         block = BlockTimes(
-            now_s=times.currentTime,
+            now_s=now_s,
             dac_s=dac_s,
             has_run_dry=bool(status.output_underflow) or left_s < 0,
             has_lost_input=bool(status.input_overflow or status.input_underflow),
-            dac_source=dac_source,
+            dac_source=FROM_DEVICE if is_timed else FROM_LATENCY,
         )
         self._fill(out, block, None if sensed is None else sensed[:, self._columns])
-
-    def _find_dac_time(self, times: Foreign) -> tuple[float, str]:
-        """Find when the first sample of a block leaves the converter, and how that was got.
-
-        A DAC time that is not after now only says that the interface does not know: DirectSound gives now itself
-        (PortAudio#530), WDM-KS gives 0 (PortAudio#531). PortAudio splits a buffer that wraps around: its second part
-        has the same now, and a DAC time that is later by the length of the first.
-        """
-        now_s, dac_s = times.currentTime, times.outputBufferDacTime
-        if dac_s > now_s and now_s != self._untimed_s:
-            return dac_s, FROM_DEVICE
-        self._untimed_s = now_s
-        return max(dac_s, now_s) + self.latency_s, FROM_LATENCY
 
 
 BLOCK_FRAMES = 512  # longest delay of a stop, as with a device

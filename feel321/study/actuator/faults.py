@@ -7,7 +7,7 @@ nothing explains is "unknown", with the figures. Coils in one direction cannot b
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -49,10 +49,12 @@ TINY = 1e-30
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Fit:
-    """How a coil answered: gain, sign, resonance and damping (as factors) against its certificate.
+    """How a coil, or several in one direction, answered: gain, sign, resonance and damping against the certificate.
 
-    asked: its motion by the certificate, with that resonance and damping. lag: samples since the onset was sent, the
-    coil's own apart. left: share of the motion's energy that is not explained. error_db: standard error of gain_db.
+    asked: its motion by the certificate, with that resonance and damping, which are factors. lag: samples since the
+    onset was sent, the coil's own apart. left: share of the motion's energy that is not explained. error_db: standard
+    error of gain_db. Then, of a whole playback: the energy of its noise; distortion: what no linear response explains,
+    over the motion; level_db: of all its motion over what was asked.
     """
 
     asked: Spectrum
@@ -63,22 +65,12 @@ class Fit:
     error_db: float
     resonance: float
     damping: float
-
-
-@dataclass(frozen=True, slots=True)
-class Motion:
-    """What one coil, or several in one direction, did in a playback, and how that fits what was sent to it.
-
-    distortion: what no linear response explains, over the motion. level_db: of all its motion over what was asked.
-    """
-
-    name: str
-    fit: Fit
-    noise: float
-    distortion: float
-    level_db: float
-    is_asked: bool
-    is_moving: bool
+    name: str = ""
+    noise: float = 0.0
+    distortion: float = 0.0
+    level_db: float = 0.0
+    is_asked: bool = False
+    is_moving: bool = False
 
 
 def energy(spectrum: Spectrum) -> float:
@@ -277,7 +269,7 @@ class Diagnosis:
         self.lag: float | None = float(min(one.latency for one in certificate.coils.values()))
         # A stream that was opened anew, or interrupted, holds more or less than before, in whole blocks.
         self._most_s = rig.device.latency_s / BLOCKS
-        self.motions: dict[str, Motion] = {}
+        self.motions: dict[str, Fit] = {}
 
     def judge(self, sent: Frames, measured: Samples) -> str:
         """Name what is wrong by frames sent, (n, channels), and what was measured since, (3, m) in m/s²; or nothing."""
@@ -303,27 +295,31 @@ class Diagnosis:
             found.append(describe_hum(hum_hz, _rms(hum)))
         return "; ".join(found)
 
-    def _find_motion(self, scene: Scene, name: str) -> Motion:
+    def _find_motion(self, scene: Scene, name: str) -> Fit:
         asked, noise = scene.asked[name, name], scene.find_noise(name)
         moved = energy(scene.actual[name])
-        level_db = DB / 2 * math.log(max(moved - noise, TINY) / max(energy(asked), TINY))
-        is_asked, is_moving = (one > CLEAR**2 * noise for one in (energy(asked), moved))
         fit = scene.fit(name, asked)
         if max(LEAST_LEFT, 2 * noise / max(moved, TINY)) < fit.left < FOLLOWS:
             full = scene.fit(name, asked, swings=self._resonances[name])
             fit = full if full.left < BETTER * fit.left else fit
         no_lines = np.zeros((0, len(asked)), dtype=np.complex128)
         rest = scene.actual[name] - scene.follow(name, fit.asked, no_lines)[0]
-        distortion = math.sqrt(max(energy(rest) - noise, 0.0) / max(moved, TINY))
-        return Motion(name, fit, noise, distortion, level_db, is_asked, is_moving)
+        return replace(
+            fit,
+            name=name,
+            noise=noise,
+            distortion=math.sqrt(max(energy(rest) - noise, 0.0) / max(moved, TINY)),
+            level_db=DB / 2 * math.log(max(moved - noise, TINY) / max(energy(asked), TINY)),
+            is_asked=energy(asked) > CLEAR**2 * noise,
+            is_moving=moved > CLEAR**2 * noise,
+        )
 
-    def _is_within(self, motion: Motion) -> bool:
-        fit = motion.fit
+    def _is_within(self, motion: Fit) -> bool:
         return not motion.is_asked or (
             motion.is_moving
-            and fit.sign > 0
-            and fit.left < FOLLOWS
-            and max(abs(fit.gain_db), abs(motion.level_db)) <= self._tolerance_db
+            and motion.sign > 0
+            and motion.left < FOLLOWS
+            and max(abs(motion.gain_db), abs(motion.level_db)) <= self._tolerance_db
             and motion.distortion <= self._settings.max_distortion
         )
 
@@ -344,14 +340,14 @@ class Diagnosis:
             return
         causes = {one.name: next(self._list_causes(scene, one), "") for one in asked}
         told = {name: cause for name, cause in causes.items() if cause}
-        gains = [one.fit.gain_db for one in asked]
+        gains = [one.gain_db for one in asked]
         is_common = max(gains) - min(gains) < self._settings.max_drift_db
         is_common &= all(cause.startswith("gain") for cause in causes.values())
         if is_common and len(told) > 1:
             told = {"all coils": f"gain {np.mean(gains):+.1f} dB: the amplifier's or the sensor's"}
         yield from (f"{name}: {cause}" for name, cause in told.items())
         if not told:
-            before, self.lag = self.lag, float(np.median([one.fit.lag for one in asked]))
+            before, self.lag = self.lag, float(np.median([one.lag for one in asked]))
             moved_s = 0.0 if before is None else (self.lag - before) / scene.rate_hz
             if LATE_S < abs(moved_s) < self._most_s:
                 yield (
@@ -373,7 +369,7 @@ class Diagnosis:
     def _find_swap(self, scene: Scene) -> str:
         """Name the pair of coils that do what is sent to the other."""
         moved = {name: energy(actual) for name, actual in scene.actual.items()}
-        straight = {name: self.motions[name].fit.left * size for name, size in moved.items()}
+        straight = {name: self.motions[name].left * size for name, size in moved.items()}
 
         def leave(pair: tuple[str, str]) -> float:
             left = straight.copy()
@@ -391,21 +387,20 @@ class Diagnosis:
             return ""
         return f"{' and '.join(best)} swapped: each moves by what is sent to the other; exchange their cables"
 
-    def _list_causes(self, scene: Scene, motion: Motion) -> Iterator[str]:
+    def _list_causes(self, scene: Scene, motion: Fit) -> Iterator[str]:
         """Name what may be wrong with one coil, the likeliest first."""
-        fit, name = motion.fit, motion.name
-        if max(fit.gain_db, motion.level_db) < DEAD_DB or not motion.is_moving:
-            yield f"dead ({fit.gain_db:.0f} dB); check its cable, its amplifier and its channel"
-        if fit.sign < 0 and fit.left < FOLLOWS:
+        name, gain = motion.name, f"gain {motion.gain_db:+.1f} dB"
+        if max(motion.gain_db, motion.level_db) < DEAD_DB or not motion.is_moving:
+            yield f"dead ({motion.gain_db:.0f} dB); check its cable, its amplifier and its channel"
+        if motion.sign < 0 and motion.left < FOLLOWS:
             yield "inverted: its wires were exchanged since the calibration"
         noise = math.sqrt(0.3 * motion.noise / max(energy(scene.actual[name]), TINY))
         if motion.distortion > math.hypot(self._distorts[name], noise):
             yield self._find_bend(scene, motion)
-        is_off = abs(fit.gain_db) > self._settings.max_drift_db + SURE * fit.error_db
-        resonance_hz = self._resonances[name][0]
-        now = f"resonance {resonance_hz:.0f} -> {resonance_hz * fit.resonance:.0f} Hz, damping x {fit.damping:.2f}"
-        gain = f"gain {fit.gain_db:+.1f} dB"
-        if abs(fit.resonance - 1) > MOVED or abs(math.log(fit.damping)) > DAMPED:
+        is_off = abs(motion.gain_db) > self._settings.max_drift_db + SURE * motion.error_db
+        before_hz, damping = self._resonances[name][0], motion.damping
+        now = f"resonance {before_hz:.0f} -> {before_hz * motion.resonance:.0f} Hz, damping x {damping:.2f}"
+        if abs(motion.resonance - 1) > MOVED or abs(math.log(damping)) > DAMPED:
             yield (
                 f"loose mount: {now}, {gain}; fasten it, then calibrate again"
                 if is_off
@@ -414,7 +409,7 @@ class Diagnosis:
         if is_off:
             yield f"{gain}: its amplifier's knob, or its mounting"
 
-    def _find_bend(self, scene: Scene, motion: Motion) -> str:
+    def _find_bend(self, scene: Scene, motion: Fit) -> str:
         """Name what bends a motion: an amplifier that clips what is sent, or anything else that rattles."""
         name, told = motion.name, f"distortion of {motion.distortion:.0%}"
         samples = {one.name: scene.sent[one.name] for one in scene.groups[name]}
@@ -422,22 +417,22 @@ class Diagnosis:
 
         def leave(share: float) -> float:
             cut = {k: np.clip(one, -share * peak, share * peak) for k, one in samples.items()}
-            asked = scene.shift(scene.expect(name, cut), motion.fit.lag)
+            asked = scene.shift(scene.expect(name, cut), motion.lag)
             along = abs(np.vdot(asked, scene.actual[name])) ** 2 / max(energy(asked), TINY)
             return 1 - float(along) / max(energy(scene.actual[name]), TINY)
 
         best = min(np.geomspace(0.05, 0.97, 40), key=leave)
         if leave(best) < BETTER * motion.distortion**2:
             return f"clipping at {best * peak:.0%} of full scale, {told}; lower the level, or turn the amplifier up"
-        if motion.fit.left > FOLLOWS:
+        if motion.left > FOLLOWS:
             return _describe_unknown([motion])
         return f"rattle, {told}: something touches or is loose; fasten it"
 
 
-def _describe_unknown(motions: Iterable[Motion]) -> str:
+def _describe_unknown(motions: Iterable[Fit]) -> str:
     figures = (
-        f"{one.name} gain {one.fit.gain_db:+.1f} dB, resonance x {one.fit.resonance:.2f}, damping x "
-        f"{one.fit.damping:.2f}, distortion {one.distortion:.0%}, {one.fit.left:.0%} of the motion unexplained"
+        f"{one.name} gain {one.gain_db:+.1f} dB, resonance x {one.resonance:.2f}, damping x "
+        f"{one.damping:.2f}, distortion {one.distortion:.0%}, {one.left:.0%} of the motion unexplained"
         for one in motions
     )
     return f"unknown cause, and the figures are: {', '.join(figures)}"

@@ -61,21 +61,26 @@ def find_directions(rig: Rig) -> tuple[dict[str, Vector], list[str]]:
     return known, [one.name for one in rig.actuators if one.name not in known]
 
 
-def reduced_energy(mix: Mix, directions: Mapping[str, Vector]) -> float:
-    """Mean square at the hand of a one-axis stimulus with mean square 1."""
-    return float(np.sum(_sum_motion(mix, directions, REDUCED) ** 2))
+def sum_motion(mix: Mix, directions: Mapping[str, Vector], sources: Sequence[str]) -> Vector:
+    """Sum how the coils move the hand by each source, shape (3, sources)."""
+    motion = np.zeros((len(AXES), len(sources)))
+    for name, direction in directions.items():
+        motion += np.outer(direction, [mix[name].get(source, 0.0) for source in sources])
+    return motion
 
 
-def original_energy(mix: Mix, directions: Mapping[str, Vector], covariance: Vector) -> float:
-    """Mean square at the hand of a three-axis stimulus, relative to that of its axes; their covariance is (3, 3)."""
-    motion = np.stack([_sum_motion(mix, directions, axis) for axis in AXES], axis=1)
+def find_energy(
+    mix: Mix, directions: Mapping[str, Vector], covariance: Vector | None = None
+) -> float:
+    """Mean square at the hand of a one-axis stimulus of mean square 1; or of one with three axes of that covariance.
+
+    The latter, shape (3, 3), is relative to that of its axes.
+    """
+    sources = (REDUCED,) if covariance is None else AXES
+    covariance = np.eye(1) if covariance is None else covariance
     covariance = covariance if np.trace(covariance) > 0 else np.eye(3)  # of silence, any will do
+    motion = sum_motion(mix, directions, sources)
     return float(np.trace(motion @ covariance @ motion.T) / np.trace(covariance))
-
-
-def _sum_motion(mix: Mix, directions: Mapping[str, Vector], source: str) -> Vector:
-    motions = (mix[name].get(source, 0.0) * direction for name, direction in directions.items())
-    return np.asarray(sum(motions, np.zeros(3)))
 
 
 def render_stimulus(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from shlex import quote
@@ -34,6 +33,10 @@ REMEDIES = {
     "stimuli": "not by feel321 build; restore it from a copy",
 }
 REMEDY = "if that was intended, give the reason: feel321 seal --reason TEXT"
+LINE_ENDS = "has other line endings, and no other change"
+
+
+Base = dict[str, tuple[Checkpoint, FileMark]]
 
 
 @dataclass(slots=True)
@@ -64,9 +67,12 @@ def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) 
             found.findings.append(text)
         there = {one.id for theirs in branches.values() for one in theirs}
         held += [f"{url} has those until {one.utc}" for one in history if one.id in there][-1:]
-        said = [(branch, url, theirs) for branch, theirs in branches.items()]
-        contradict = [one for one in said if _compare_branch(study, own, one, found=found)]
-        binding += [max(contradict, key=lambda one: one[2][-1].utc)[2]] if contradict else []
+        contradict = [
+            theirs
+            for branch, theirs in branches.items()
+            if _compare_branch(study, own, theirs, place=(branch, url), found=found)
+        ]
+        binding += [max(contradict, key=lambda one: one[-1].utc)] if contradict else []
     if expect and not any(one.id.startswith(expect) for one in history):
         text = f"has no checkpoint {expect}; if the id is right, the history was made anew or turned back"
         found.findings.append(f"{home}: {text}")
@@ -88,16 +94,16 @@ def weigh(study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()) 
 def _compare_branch(
     study: StudyFolder,
     own: checkpoints.Own,
-    other: tuple[str, str, Sequence[Checkpoint]],
+    theirs: Sequence[Checkpoint],
     *,
+    place: tuple[str, str],
     found: Evidence,
 ) -> bool:
-    """Compare the history here with a remote's; whether that one must hold of this folder, too.
+    """Compare the history here with a remote's (place: branch and URL); whether that one must hold of this folder, too.
 
     Another copy of the study may have gone on from a checkpoint that is here.
     """
-    home, known = study.path / EVIDENCE, {one.id for one in own.history}
-    branch, url, theirs = other
+    home, known, (branch, url) = study.path / EVIDENCE, {one.id for one in own.history}, place
     unknown = [one for one in theirs if one.id not in known]
     said = f"{branch} at {url}, the newest of {theirs[-1].utc}"
     for one in unknown:  # a backup brings back whoever withdrew since
@@ -121,38 +127,6 @@ def _compare_branch(
     return True
 
 
-@dataclass(slots=True)
-class _Past:
-    """What a history says of files.
-
-    base: of each file, the last checkpoint that may have changed it, and what it was then; strayed: files that were
-    something else since; seen: all that a journal ever was; begun: what began and did not end.
-    """
-
-    base: dict[str, tuple[Checkpoint, FileMark]] = field(default_factory=dict)
-    strayed: set[str] = field(default_factory=set)
-    seen: dict[str, dict[FileMark, Checkpoint]] = field(default_factory=lambda: defaultdict(dict))
-    begun: dict[tuple[str, str], Checkpoint] = field(default_factory=dict)
-
-    def follow(self, one: Checkpoint) -> None:
-        """Follow the history by one checkpoint."""
-        for name in self.base.keys() | one.marks.keys():
-            mark = one.marks.get(name)
-            is_free = not one.begins and _may_change(one, name, mark)
-            if mark is not None and is_journal(name):
-                self.seen[name].setdefault(mark, one)
-            if mark is None and is_free:
-                del self.base[name]
-            elif mark is not None and (is_free or name not in self.base):
-                self.base[name] = one, mark
-                self.strayed.discard(name)
-            elif mark != self.base[name][1] and not name.startswith("sessions/"):
-                self.strayed.add(name)
-        self.begun.pop((one.by, one.who), None)
-        if one.begins:
-            self.begun[one.by, one.who] = one
-
-
 def _compare_files(
     study: StudyFolder,
     history: Sequence[Checkpoint],
@@ -161,75 +135,45 @@ def _compare_files(
     found: Evidence,
 ) -> None:
     """Compare a history with the files of today."""
-    past, root = _Past(), study.path
+    # Of each file, the last checkpoint that may have changed it, and what it was then.
+    base: Base = {}
+    strayed = set[str]()  # files that were something else since
+    begun: dict[tuple[str, str], Checkpoint] = {}  # and did not end
     for one in history:
-        past.follow(one)
-        if one.by == "withdraw" and not one.begins:
+        _follow(one, base, strayed)
+        begun.pop((one.by, one.who), None)
+        if one.begins:
+            begun[one.by, one.who] = one
+        elif one.by == "withdraw":
             text = f"withdrew at the checkpoint of {one.utc}"
             found.remarks.append(f"{study.sessions / one.who}: {text}")
         if one.reason:
             text = f"the checkpoint of {one.utc} declares: {one.reason}"
-            found.remarks.append(f"{root / EVIDENCE}: {text}")
-    for name, (one, mark) in sorted(past.base.items()):
-        now = today.get(name)
+            found.remarks.append(f"{study.path / EVIDENCE}: {text}")
+    for name, (one, mark) in sorted(base.items()):
+        path, now = study.path / name, today.get(name)
+        # The number was given back before anything was recorded.
+        is_back = not path.parent.exists() and name.replace(PLAN_FILE, name_journal(1)) not in base
         if now is not None and is_journal(name):
-            found.findings += _judge_journal(root / name, past.seen[name], found.remarks)
-        elif now != mark or name in past.strayed:
-            is_open = any(_may_change(begun, name, now) for begun in past.begun.values())
-            # The number was given back before anything was recorded.
-            first = name.replace(PLAN_FILE, name_journal(1))
-            is_back = not (root / name).parent.exists() and first not in past.base
-            if not is_back:
-                _judge(root, name, (one, mark, now), found=found, is_open=is_open)
+            seen = {own.marks[name]: own for own in reversed(history) if name in own.marks}
+            found.findings += _judge_journal(path, seen, found.remarks)
+        elif (now != mark or name in strayed) and not is_back:
+            is_open = any(_may_change(other, name, now) for other in begun.values())
+            _judge(path, name, (one, mark, now), found=found, is_open=is_open)
 
 
-def _judge(
-    root: Path,
-    name: str,
-    became: tuple[Checkpoint, FileMark, FileMark | None],
-    *,
-    found: Evidence,
-    is_open: bool,
-) -> None:
-    """Judge a file that is not what it was, or was not all the time."""
-    area, path, (one, mark, now) = name.partition("/")[0], root / name, became
-    if name in DERIVED or (now is None and area == "report"):
-        return
-    text = (
-        f"{path}: {'is gone' if now is None else 'was changed'} since the checkpoint of {one.utc}"
-    )
-    if is_open or name in NOTED:
-        found.remarks.append(text + " by what did not end" * is_open)
-        return
-    if now not in {None, mark}:
-        plain = path.read_bytes().replace(b"\r\n", b"\n")
-        if mark.sha256 in {digest(plain), digest(plain.replace(b"\n", b"\r\n"))}:
-            found.remarks.append(f"{path}: has other line endings, and no other change")
-            return
-    remedy = REMEDIES.get(area, REMEDY)
-    if area == "sessions" and path.with_name(TOMBSTONE_FILE).is_file():
-        remedy = f"no checkpoint declares the tombstone there; {REMEDY}"
-    found.findings.append(f"{text}; {remedy}")
-
-
-def _judge_journal(
-    path: Path, seen: Mapping[FileMark, Checkpoint], remarks: list[str]
-) -> Iterator[str]:
-    """Demand that a journal begins with all that it ever was."""
-    content, good, whole = checkpoints.read_lines(path), 0, hashlib.sha256()
-    for mark, one in sorted(seen.items(), key=lambda item: item[0].size):
-        when = f"at the checkpoint of {one.utc}; restore it from a copy"
-        if len(content) < mark.size:
-            yield f"{path}: was cut, {len(content)} bytes are left of {mark.size} {when}"
-            return
-        whole.update(content[good : mark.size])
-        if whole.hexdigest() != mark.sha256:
-            first, last = (content[:size].count(b"\n") for size in (good, mark.size))
-            yield f"{path}, lines {first + 1} to {last}: are not those {when}"
-            return
-        good = mark.size
-    if b"\r\n" in path.read_bytes():
-        remarks.append(f"{path}: has other line endings, and no other change")
+def _follow(one: Checkpoint, base: Base, strayed: set[str]) -> None:
+    """Follow a history by one checkpoint."""
+    for name in base.keys() | one.marks.keys():
+        mark = one.marks.get(name)
+        is_free = not one.begins and _may_change(one, name, mark)
+        if mark is None and is_free:
+            del base[name]
+        elif mark is not None and (is_free or name not in base):
+            base[name] = one, mark
+            strayed.discard(name)
+        elif mark != base[name][1] and not name.startswith("sessions/"):
+            strayed.add(name)
 
 
 def _may_change(one: Checkpoint, name: str, mark: FileMark | None) -> bool:
@@ -243,3 +187,51 @@ def _may_change(one: Checkpoint, name: str, mark: FileMark | None) -> bool:
             mark is None or name == stone
         )
     return one.by in OCCASIONS[area] if area in OCCASIONS else name in NOTED or bool(one.reason)
+
+
+def _judge(
+    path: Path,
+    name: str,
+    became: tuple[Checkpoint, FileMark, FileMark | None],
+    *,
+    found: Evidence,
+    is_open: bool,
+) -> None:
+    """Judge a file that is not what it was, or was not all the time; is_open: by what did not end."""
+    area, (one, mark, now) = name.partition("/")[0], became
+    if name in DERIVED or (now is None and area == "report"):
+        return
+    what = "is gone" if now is None else "was changed"
+    text = f"{path}: {what} since the checkpoint of {one.utc}"
+    if is_open or name in NOTED:
+        found.remarks.append(text + " by what did not end" * is_open)
+        return
+    if now not in {None, mark}:
+        plain = path.read_bytes().replace(b"\r\n", b"\n")
+        if mark.sha256 in {digest(plain), digest(plain.replace(b"\n", b"\r\n"))}:
+            found.remarks.append(f"{path}: {LINE_ENDS}")
+            return
+    remedy = REMEDIES.get(area, REMEDY)
+    if area == "sessions" and path.with_name(TOMBSTONE_FILE).is_file():
+        remedy = f"no checkpoint declares the tombstone there; {REMEDY}"
+    found.findings.append(f"{text}; {remedy}")
+
+
+def _judge_journal(
+    path: Path, seen: Mapping[FileMark, Checkpoint], remarks: list[str]
+) -> Iterator[str]:
+    """Demand that a journal begins with all that it ever was."""
+    content, good, whole = checkpoints.read_lines(path), 0, hashlib.sha256()
+    for mark, one in sorted(seen.items(), key=lambda item: item[0]):
+        when = f"at the checkpoint of {one.utc}; restore it from a copy"
+        if len(content) < mark.size:
+            yield f"{path}: was cut, {len(content)} bytes are left of {mark.size} {when}"
+            return
+        whole.update(content[good : mark.size])
+        if whole.hexdigest() != mark.sha256:
+            first, last = (content[:size].count(b"\n") for size in (good, mark.size))
+            yield f"{path}, lines {first + 1} to {last}: are not those {when}"
+            return
+        good = mark.size
+    if b"\r\n" in path.read_bytes():
+        remarks.append(f"{path}: {LINE_ENDS}")

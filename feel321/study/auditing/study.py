@@ -8,33 +8,56 @@ with the settings. Each participant's plan and journals are read once.
 
 from __future__ import annotations
 
+import csv
 import json
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from itertools import chain as join
 from itertools import pairwise, zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from feel321 import intake
-from feel321.doors import announce
-from feel321.files import digest_file
+from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study.auditing.evidence import Evidence, weigh
 from feel321.study.auditing.replay import MALFORMED, audit_steps
-from feel321.study.auditing.tables import Tables
-from feel321.study.folder import DELIVERED, Audit, name_delivered
+from feel321.study.folder import DELIVERED, RATING_COLUMNS, Audit, name_delivered
 from feel321.study.freeze import describe_frozen, find_faults
 from feel321.study.numbers import Holder, find_doubles, read_holder
-from feel321.study.people import describe_rigs, find_leftovers
-from feel321.study.persons.answers import audit_personal
+from feel321.study.people import (
+    ROSTER_FILE,
+    Progress,
+    describe_rigs,
+    find_leftovers,
+    list_roster,
+    make_progress,
+)
+from feel321.study.persons import answers
 from feel321.study.persons.withdrawal import find_data_left, list_stale
-from feel321.study.ratings import find_misplaced
+from feel321.study.ratings import (
+    MATCH_COLUMNS,
+    MATCHES_FILE,
+    find_misplaced,
+    list_judgements,
+    list_matches,
+)
 from feel321.study.session import events
-from feel321.study.session.journal import Chain, Record, list_journals, name_journal, read_journal
+from feel321.study.session.journal import (
+    Chain,
+    Record,
+    Records,
+    list_journals,
+    name_journal,
+    read_journal,
+)
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Dossier, Plan, require_plan
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
 
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import StudyFolder
@@ -68,17 +91,19 @@ def examine(
             findings += _guard(study.stimuli, _audit_details(stimuli))
     tables, holders = Tables(study, stimuli), list[Holder]()
     for done, folder in enumerate(folders, start=1):
-        announce(folder.name)
-        findings += _guard(folder, _audit_participant(folder, stimuli, tables))
+        findings += _guard(folder, _audit_participant(folder, tables))
         with suppress(OSError, ValueError):  # of a plan that is among the findings
             holders += filter(None, [read_holder(folder)])
         progress(done, len(folders))
     findings += [*find_doubles(holders), *_guard(study.path, find_data_left(study))]
-    wrong, older = tables.compare()
-    evidence = Evidence() if study.is_rehearsal else weigh(study, expect=expect, remotes=remotes)
-    remarks = [*evidence.remarks, *older, *_audit_inputs(study), *describe_rigs(tables.people)]
+    evidence, remarks = Evidence(), list[str]()
+    if not study.is_rehearsal:
+        wrong, remarks = tables.compare()
+        evidence = weigh(study, expect=expect, remotes=remotes)
+        findings += [*wrong, *evidence.findings]
+    remarks = [*evidence.remarks, *remarks, *_audit_inputs(study), *describe_rigs(tables.people)]
     remarks += [*_guard(study.path, list_stale(study)), *filter(None, [describe_frozen(study)])]
-    every = dict.fromkeys([*findings, *wrong, *evidence.findings, *find_faults(study)])
+    every = dict.fromkeys([*findings, *find_faults(study)])
     return Audit(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)
 
 
@@ -122,74 +147,71 @@ def _audit_inputs(study: StudyFolder) -> Iterator[str]:
             yield f"{path}: {text}; compute it anew: feel321 analyze"
 
 
-def _audit_participant(folder: Path, stimuli: StimulusSet | None, tables: Tables) -> Iterator[str]:
+def _audit_participant(folder: Path, tables: Tables) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists():
         yield from find_leftovers(folder)
         return
-    path, chains = folder / PLAN_FILE, dict[Path, Chain]()
-    tables.unread.add(folder.name)
+    dossier, stimuli = None, tables.stimuli
+    with suppress(*MALFORMED, OSError, ValueError):  # found below, part by part
+        dossier = tables.study.read_person(folder)
+        tables.take(dossier)
+    if folder.name not in {one.participant for one in tables.people}:
+        tables.unread.add(folder.name)
     if folder.is_symlink():
         yield f"{folder}: is a link; put the folder itself there"
+    path = folder / PLAN_FILE
     plan = require_plan(path)
     if plan.participant != folder.name:
         yield f"{path}: is the plan of {plan.participant!r}, it was copied here"
     if stimuli and stimuli.sha256 != plan.stimuli_sha256:
         yield f"{path}: names another stimulus set than the one that is built"
-    yield from audit_journals(folder, plan, chains)
-    journals = list_journals(folder)
-    if plan.participant != folder.name or not set(journals) <= set(chains):
-        return
-    dossier = Dossier(folder, plan, tuple(chains[one] for one in journals))
-    with suppress(*MALFORMED, OSError, ValueError):  # among the findings
-        tables.take(dossier)
-        tables.unread.discard(folder.name)
+    yield from audit_journals(folder, plan, dossier)
 
 
 # Journals: each chain, its header and times, and how one session follows another.
 
 
-def audit_journals(
-    folder: Path, plan: Plan, chains: dict[Path, Chain] | None = None
-) -> Iterator[str]:
-    """Verify all journals of a participant; chains: filled with those that can be read."""
-    chains, journals = {} if chains is None else chains, list_journals(folder)
+def audit_journals(folder: Path, plan: Plan, dossier: Dossier | None = None) -> Iterator[str]:
+    """Verify all journals of a participant; dossier: as they were read, where all could be."""
+    journals, known = list_journals(folder), dict[Path, Chain]()
+    if dossier:
+        known = dict(zip(journals, dossier.chains, strict=True))
     for path in sorted(folder.glob("session-*.jsonl")):  # Copies under other names too.
-        yield from _guard(path, _audit_journal(path, plan, chains))
+        yield from _guard(path, _audit_journal(path, plan, known))
     for session, path in enumerate(journals, start=1):
         if path.name != name_journal(session):
             yield f"{path}: is there without {name_journal(session)} before it"
             return
-        if path == journals[-1] or path not in chains:
+        if path == journals[-1] or path not in known:
             continue
         superseded = events.SessionSuperseded.event
-        by = [one.data.get("by") for one in chains[path].records if one.event == superseded]
+        by = [one.data.get("by") for one in known[path].records if one.event == superseded]
         if session + 1 not in by:
             yield f"{path}: does not mention {name_journal(session + 1)}, which stands beside it"
 
 
-def _audit_journal(path: Path, plan: Plan, chains: dict[Path, Chain]) -> Iterator[str]:
-    chains[path] = chain = read_journal(path)
+def _audit_journal(path: Path, plan: Plan, known: dict[Path, Chain]) -> Iterator[str]:
+    chain = known[path] = known.get(path) or read_journal(path)
+    records = chain.records
     if chain.torn:
         yield f"{path}: ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
     try:
-        header = chain.records.find_header()
+        header = records.find_header()
     except ValueError as error:
         yield f"{path}, {error}"
         return
-    if header is not None:
-        places = (
-            find_misplaced(path, header, plan),
-            _audit_header(header, plan, path),
-            _audit_clocks(header, chain.records),
-            _audit_content(chain, plan, path.parent),
-        )
-        for findings in places:
-            yield from (f"{path}{finding}" for finding in findings)
+    if header is None:  # A crash may have come before it, and nobody come back.
+        allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
+        if not {record.event for record in records} <= allowed:
+            yield f"{path}: has no header"
         return
-    # A crash may have come before it, and nobody come back.
-    allowed = {kind.event for kind in (*events.REPAIRS, events.SessionReleased)}
-    if not {record.event for record in chain.records} <= allowed:
-        yield f"{path}: has no header"
+    for findings in (
+        find_misplaced(path, header, plan),
+        _audit_header(header, plan, path),
+        _audit_clocks(header, records),
+        _audit_content(records, plan, path.parent),
+    ):
+        yield from (f"{path}{finding}" for finding in findings)
 
 
 def _audit_header(header: events.SessionBegun, plan: Plan, path: Path) -> Iterator[str]:
@@ -230,22 +252,22 @@ def _audit_clocks(header: events.SessionBegun, records: Sequence[Record]) -> Ite
         before, is_asleep = record, False
 
 
-def _audit_content(chain: Chain, plan: Plan, folder: Path) -> Iterator[str]:
+def _audit_content(records: Records, plan: Plan, folder: Path) -> Iterator[str]:
     """Check that time runs forwards, run the session again, and where that holds look at the files that it names."""
-    for before, record in pairwise(chain.records):
+    for before, record in pairwise(records):
         if record.utc < before.utc and record.event != events.ClockStepped.event:
             yield f", line {record.sequence + 1}: is older than the line before, and nothing says why"
-    steps = list(audit_steps(chain.records, plan))
+    steps = list(audit_steps(records, plan))
     yield from steps
     if steps:  # records need not be as they should
         return
-    for record, path, sha256 in list_files(chain.records, folder):
+    for record, path, sha256 in list_files(records, folder):
         name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
         if not path.is_file():
             yield f"{name} is gone; restore it from a copy"
         elif digest_file(path) != sha256:
             yield f"{name} was changed since it was written; restore it from a copy"
-    yield from audit_personal(folder, chain.records)
+    yield from answers.audit_personal(folder, records)
 
 
 def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
@@ -255,3 +277,134 @@ def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record
         if isinstance(played, events.PartPlayed) and played.delivered_sha256:
             name = name_delivered(int(played.measured.get("file_number", 0)))
             yield record, folder / DELIVERED / name, played.delivered_sha256
+
+
+# Tables: one may lack what was recorded since it was derived, and nothing else; what it holds is compared row by row.
+
+Row = Mapping[str, str]
+
+ANEW = "derive it anew: feel321 analyze"
+
+KEYS = {
+    ROSTER_FILE: ("participant",),
+    "ratings.csv": ("participant", "session", "trial", "stimulus_id", "reference_id", "scale", "other_id"),
+    answers.ANSWERS_FILE: ("participant", "session", "question", "occasion"),
+    MATCHES_FILE: ("participant", "trial", "stimulus_id"),
+}  # fmt: skip
+"""Columns that name a row."""
+
+COLUMNS: Mapping[str, Sequence[str]] = {
+    "ratings.csv": RATING_COLUMNS, MATCHES_FILE: MATCH_COLUMNS, answers.ANSWERS_FILE: answers.COLUMNS,
+}  # fmt: skip
+
+FIXED = {"participant", "number", "simulated", "first_utc", "total"}
+"""Columns of the roster that do not change as a session goes on."""
+
+
+class Tables:
+    """The tables of a study, derived anew; unread: participants whose files cannot be read, among the findings."""
+
+    def __init__(self, study: StudyFolder, stimuli: StimulusSet | None) -> None:
+        self.study, self.stimuli = study, stimuli
+        self.people, self.unread = list[Progress](), set[str]()
+        self._rows: dict[str, list[dict[str, Any]]] = {}
+        if stimuli and study.participants:  # without, ratings may come from elsewhere
+            self._rows = {name: [] for name in COLUMNS}
+
+    def take(self, dossier: Dossier) -> None:
+        """Derive the rows of a participant, all or none."""
+        own: dict[str, list[dict[str, Any]]] = {}
+        if self.stimuli:
+            own["ratings.csv"] = list_judgements(dossier, self.stimuli)
+            own[MATCHES_FILE] = [*list_matches(dossier, self.stimuli)]
+            own[answers.ANSWERS_FILE] = answers.list_answers(dossier)
+        self.people.append(make_progress(dossier))
+        for name, rows in own.items():
+            self._rows[name] += rows
+
+    def compare(self) -> tuple[list[str], list[str]]:
+        """Compare all tables that are there with the journals; returns findings and remarks."""
+        findings, remarks = list[str](), list[str]()
+        columns, roster = list_roster(self.people)
+        for name, rows in {ROSTER_FILE: roster, **self._rows}.items():
+            path = self.study.path / name
+            lines = [*list_csv(COLUMNS.get(name, columns), rows)]
+            if not path.is_file() or path.read_bytes() == "".join(lines).encode():
+                continue
+            try:
+                with intake.open_text(path) as file:
+                    reader = csv.DictReader(file)
+                    written = [(reader.line_num, row) for row in reader]
+            except (ValueError, csv.Error) as error:
+                findings.append(f"{path}: cannot be read ({error}); {ANEW}")
+                continue
+            # What changes as a session goes on; one that was begun anew is rejected as a whole.
+            lagging = {*columns} - FIXED if name == ROSTER_FILE else {"rejected"}
+            kept = [one for one in written if one[1].get("participant") not in self.unread]
+            wrong, late = _compare([*csv.DictReader(lines)], kept, key=KEYS[name], lagging=lagging)
+            findings += [f"{path}{text}; {ANEW}" for text in wrong]
+            if late:
+                text = f"lacks rows that the journals have ({late}); unless they are newer, it was edited"
+                remarks.append(f"{path}: {text}; {ANEW}")
+        return findings, remarks
+
+
+def _compare(
+    derived: Sequence[Row],
+    written: Sequence[tuple[int, Row]],
+    *,
+    key: Sequence[str],
+    lagging: set[str],
+) -> tuple[list[str], int]:
+    """Compare row by row; returns what is wrong, and how many rows are missing at the end."""
+
+    def name(row: Row) -> tuple[str, ...]:
+        return tuple(row.get(one) or "" for one in key)
+
+    left: dict[tuple[str, ...], list[Row]] = defaultdict(list)
+    for row in derived:  # a trial that was rejected comes again, under the same number
+        left[name(row)].append(row)
+    others, wrong = [], []
+    for line, row in written:
+        same = next((one for one in left[name(row)] if not _find_wrong(row, one, lagging)), None)
+        if same is None:
+            others.append((line, row))
+        else:
+            left[name(row)].remove(same)
+    for line, row in others:
+        text = f"holds a row of {row.get('participant') or 'nobody'} that the journals do not have"
+        if own := left[name(row)]:
+            text = _find_wrong(row, own.pop(0), lagging)
+        wrong.append(f", line {line}: {text}")
+    missing, there = [*join.from_iterable(left.values())], {name(row) for _, row in written}
+    amid = _find_amid(missing, [row for row in derived if name(row) in there])
+    for row in amid:
+        label = ", ".join(f"{one} {row[one]}" for one in key if row[one])
+        wrong.append(f": lacks the row of {label}, which the journals have")
+    return wrong, len(missing) - len(amid)
+
+
+def _find_amid(missing: Sequence[Row], present: Sequence[Row]) -> list[Row]:
+    """Find rows that were left out amid others; those at the end of a session may be newer than the table."""
+
+    def place(row: Row) -> tuple[tuple[str, str], float]:
+        # Trials that were spoiled come again later, so their numbers do not say when.
+        return (row["participant"], row.get("session", "")), float(row.get("onset_s") or math.inf)
+
+    last: dict[tuple[str, str], float] = defaultdict(lambda: -math.inf)
+    for session, onset in map(place, present):
+        if math.isfinite(onset):
+            last[session] = max(last[session], onset)
+    return [row for row in missing if place(row)[1] < last[place(row)[0]]]
+
+
+def _find_wrong(row: Row, own: Row, lagging: set[str]) -> str:
+    """Find the first cell that the journals contradict."""
+    got, last = row.get("last_utc") or "", own.get("last_utc", "")
+    if got > last:
+        return f"last_utc is {got}, the journals {f'end at {last}' if last else 'that are left hold nothing'}"
+    is_old = got < last or (own.get("rejected"), row.get("rejected")) == ("true", "false")
+    for name, value in own.items():
+        if (got := row.get(name, "")) != value and not (is_old and name in lagging):
+            return f"{name} is {got!r}, the journals say {value!r}"
+    return ""

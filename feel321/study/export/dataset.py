@@ -1,17 +1,22 @@
-"""A study as a BIDS dataset of behavioural data (`beh`): what `feel321 export` writes."""
+"""A study as a BIDS dataset of behavioural data (`beh`), and `methods.md`: the methods section of a paper."""
 
 from __future__ import annotations
 
 import hashlib
 import hmac
 import json
+import math
 import re
 import secrets
+from collections import Counter
+from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from feel321 import __version__, intake
+from feel321.analysis.report.folder import METHODS
 from feel321.analysis.table.dictionary import describe_column
 from feel321.analysis.table.metrics import gather_info
 from feel321.files import (
@@ -23,18 +28,22 @@ from feel321.files import (
     write_text,
 )
 from feel321.records import to_json_value
-from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.stimuli.match import HIGHEST_HZ
+from feel321.stimuli.sets.manifest import read_details, read_stimuli
+from feel321.study.actuator.certificate import list_certificates, read_certificate
+from feel321.study.admission import OURS
 from feel321.study.analyze import list_info
 from feel321.study.checkpoints import find_newest
-from feel321.study.export.narrative import METHODS_FILE, make_methods, render
 from feel321.study.folder import RATING_COLUMNS
-from feel321.study.people import write_roster
+from feel321.study.freeze import read_frozen
+from feel321.study.numbers import WITHDRAWN, read_holders
+from feel321.study.people import list_progress, write_roster
 from feel321.study.ratings import write_ratings
+from feel321.study.session.events import SessionFinished, TrialRated
 from feel321.study.settings.read import list_origins, read_settings, read_study_texts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
     from feel321.study.folder import StudyFolder
     from feel321.study.settings.schema import Settings
@@ -44,7 +53,9 @@ BIDS_VERSION = "1.11.0"
 MISSING = "n/a"
 """What BIDS writes in a cell without a value."""
 
-NO_METHODS = f"{METHODS_FILE}: left out, for no report is of these ratings; feel321 analyze, then export again"
+NO_METHODS = (
+    f"{METHODS}: left out, for no report is of these ratings; feel321 analyze, then export again"
+)
 
 NEEDS = (
     "title", "description", "authors", "licence", "ethics", "institution", "funding", "released",
@@ -71,13 +82,8 @@ KEY_FILE = ".export.key"
 """File in the study's folder: the key that draws the new numbers. It is never exported."""
 
 
-def export_bids(
-    study: StudyFolder, folder: Path, *, keep_ids: bool = False, simulated: bool = False
-) -> list[str]:
-    """Write the dataset into a new folder, and list what is missing from it.
-
-    keep_ids: keep the study's codes of participants. simulated: simulated participants too.
-    """
+def export_bids(study: StudyFolder, folder: Path, *, simulated: bool = False) -> list[str]:
+    """Write the dataset into a new folder, of simulated participants too if asked; list what is missing from it."""
     is_empty = folder.is_dir() and not any(folder.iterdir())
     if folder.is_symlink() or (folder.exists() and not is_empty):
         raise FileExistsError(f"{folder}: already holds something; name a new or empty folder")
@@ -88,7 +94,7 @@ def export_bids(
     if judgements.empty:
         hint = "; simulated participants are exported with --simulated only" * (len(rated) > 0)
         raise ValueError(f"{study.path}: no ratings of real participants to export{hint}")
-    names = _name_people(study, set(judgements["participant"]), keep_ids=keep_ids)
+    names = _name_people(study, set(judgements["participant"]))
     people = _read_table(write_roster(study))
     people = people[people["participant"].isin([*names])]
     make_folder(folder.parent)
@@ -113,14 +119,8 @@ def export_bids(
     return missing
 
 
-def _name_people(study: StudyFolder, codes: Iterable[str], *, keep_ids: bool) -> dict[str, str]:
-    """Give participants new numbers in an order that only the study's own key gives; or check their codes."""
-    if keep_ids:
-        if odd := sorted(code for code in codes if not re.fullmatch("[0-9A-Za-z]+", code)):
-            raise ValueError(
-                f"--keep-ids: BIDS allows letters and digits in a participant's code, got {odd[0]!r}; export without it"
-            )
-        return {code: f"sub-{code}" for code in codes}
+def _name_people(study: StudyFolder, codes: Iterable[str]) -> dict[str, str]:
+    """Give participants new numbers in an order that only the study's own key gives."""
     path = study.path / KEY_FILE
     if not path.exists():
         write_text(path, f"{secrets.token_hex(32)}\n", private=True)
@@ -267,7 +267,7 @@ def _write_words(
         "SourceDatasets": [{"Version": f"checkpoint {newest.id}"}] if newest else None,
     }
     _write_json(folder / "dataset_description.json", about)
-    _write(folder / ".bidsignore", f"/{METHODS_FILE}\n")
+    _write(folder / ".bidsignore", f"/{METHODS}\n")
     simulated = int((people["simulated"] == "true").sum())
     facts = {"title": title, "own": own, "count": len(people), "simulated": simulated}
     _write(folder / "README", render("readme.txt", **facts))
@@ -281,5 +281,98 @@ def _write_methods(study: StudyFolder, folder: Path) -> list[str]:
     results = json.loads(intake.read_text(path)) if path.is_file() else {}
     if results.get("inputs", {}).get("ratings_sha256") != digest_file(study.ratings):
         return [NO_METHODS]
-    _write(folder / METHODS_FILE, make_methods(study, results, is_dated=False))
+    _write(folder / METHODS, make_methods(study, results, is_dated=False))
     return []
+
+
+# The methods section of a paper, written from what was done; unrecorded details are in brackets.
+
+
+def count_flow(study: StudyFolder) -> dict[str, Any]:
+    """Count people and judgements, from plans, journals and `ratings.csv`; programs only where no person took part."""
+    holders = read_holders(study)
+    simulated = all(one.simulated for one in holders)
+    own = [one for one in holders if one.simulated == simulated]
+    records = [one.records for one in study.read_people() if one.plan.simulated == simulated]
+    done = [one for one in records if one.has(SessionFinished)]
+    rows = pd.read_csv(study.ratings)
+    rows = rows[rows["simulated"] == simulated]
+    counted = rows[~rows["rejected"]]
+    return {
+        "simulated": simulated,
+        "registered": len(own),
+        "withdrew": sum(one.state == WITHDRAWN for one in own),
+        "began": sum(one.has(TrialRated) for one in records),
+        "finished": len(done),
+        "analysed": counted["participant"].nunique(),
+        "judgements": len(rows),
+        "rejected": len(rows) - len(counted),
+        "counted": len(counted),
+        "minutes": sorted(one.find_elapsed() / 60 for one in done),
+    }
+
+
+def write_methods(study: StudyFolder, report: Path) -> None:
+    """Write the methods section beside a report, whose `results.json` holds the numbers."""
+    results = json.loads(intake.read_text(report / "results.json"))
+    text = make_methods(study, results)
+    write_text(report / METHODS, text, private=report == study.report)
+
+
+def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bool = True) -> str:
+    """Make the text of the methods section; without days where it goes along with a dataset."""
+    settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli).stimuli
+    manifest = pd.read_csv(study.manifest)
+    tests = manifest[manifest["role"] == "test"].reindex(columns=["sensation_level_db"])
+    recipe = read_details(study.stimuli).recipe
+    filters = (("high", "high_pass_hz"), ("low", "low_pass_hz"))
+    steps = ((word, recipe["conditioning"].get(key)) for word, key in filters)
+    used = {one.calibration for one in list_progress(study) if one.calibration}
+    found = [read_certificate(path) for path in list_certificates(study.calibration)]
+    certificates = [one for one in found if one.id in used]
+    usual = {name: f"[{name}]" for name in ("metrics", "draws", "seed", "margin")}
+    flags = [one for one in results["numbers"] if one["quantity"] == "n_flagged"]
+    return render(
+        "methods.md",
+        count=lambda number, what, plural="": (
+            f"{number} {what if number == 1 else plural or f'{what}s'}"
+        ),
+        median=median,
+        is_finite=math.isfinite,
+        settings=settings,
+        session=settings.session,
+        flow=count_flow(study),
+        certificates=certificates,
+        unknown=used - {one.id for one in certificates},
+        recipe=recipe,
+        bands=[f"{word}-pass filtered at {hz:g} Hz" for word, hz in steps if hz],
+        stimuli=stimuli,
+        recordings=list(dict.fromkeys(one.recording for one in stimuli)),
+        lengths=[one.duration_s for one in stimuli],
+        roles=Counter(one.role for one in stimuli),
+        highest_hz=HIGHEST_HZ,
+        narrow={
+            one.recording: one.band_high_hz for one in stimuli if one.band_high_hz < HIGHEST_HZ
+        },
+        levels=list(tests["sensation_level_db"].dropna()),
+        tasks=[
+            name if name in OURS else f"{name} (a task of the lab)"
+            for name in settings.session.protocols
+        ],
+        results=results,
+        inputs=usual | results["inputs"],
+        frozen=read_frozen(study),
+        is_dated=is_dated,
+        flagged=[one for one in flags if one["panel"] == "any"],
+    )
+
+
+def render(name: str, **values: object) -> str:
+    """Render a text of this folder, in which nothing is escaped."""
+    from jinja2 import Environment, StrictUndefined
+
+    pages = Environment(  # noqa: S701 - plain text
+        undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    )
+    pages.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
+    return pages.from_string(intake.read_text(Path(__file__).with_name(name))).render(**values)

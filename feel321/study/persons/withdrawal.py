@@ -15,34 +15,25 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from feel321.files import (
-    TEMPORARY,
-    UNFINISHED,
-    hold_lock,
-    is_of_group,
-    make_folder,
-    sweep,
-    sweep_temporary,
-    sync_folder,
-    write_text,
-)
+from feel321 import files
+from feel321.files import hold_lock, make_folder, sync_folder, write_text
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import people
 from feel321.study.checkpoints import declaring, find_newest, note_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import RELEASED, Holder, read_holder
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
-from feel321.study.ratings import MATCHES_FILE, write_matches, write_ratings
+from feel321.study.ratings import MATCHES_FILE, WIDE, write_matches, write_ratings
 from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
 from feel321.study.session.journal import (
     PARTICIPANT_ID,
     Clock,
+    Journal,
     list_journals,
     read_anchor,
     require_journal,
 )
 from feel321.study.session.plan import TOMBSTONE_FILE
-from feel321.study.wide import WIDE
 
 OUTPUTS_FILE = "outputs.jsonl"
 
@@ -63,34 +54,39 @@ def withdraw_participant(
     warn: Say = lambda _: None,
 ) -> list[str]:
     """Remove the data of a participant for good; a tombstone keeps the code from being used again."""
-    removed = _withdraw_rehearsals(study, participant, say=warn)
+    removed = _withdraw_rehearsals(study, participant, warn)
     if removed and not (study.sessions / participant).exists():
         return removed
     folder = require_folder(study, participant)
-    found = people.read_tombstone(folder)
-    is_over = found is not None and found.state == people.REMOVED
-    if found and is_over and not any((people.find_leftovers(folder), *find_data_left(study))):
+    stone = people.read_tombstone(folder)
+    is_over = stone is not None and stone.state == people.REMOVED
+    if stone and is_over and not any((people.find_leftovers(folder), *find_data_left(study))):
         newest = find_newest(study, "withdraw", participant)
         if newest and newest.begins:  # killed before its last checkpoint
             if problem := note_checkpoint(study, "withdraw", who=participant):
                 warn(problem)
         elif not removed:
-            gone = f"withdrew at {found.utc}, all data are gone"
+            gone = f"withdrew at {stone.utc}, all data are gone"
             raise ValueError(f"participant {participant}: {gone}")
         return removed
-    # Or the tombstone of a withdrawal that was interrupted; what a link leads to is left, but looked at.
-    stone = found or _make_tombstone(folder, reason=reason, now=now)
+    if stone is None:  # else a withdrawal was interrupted
+        known = Holder(participant, 0, simulated=False)
+        with suppress(ValueError):  # a damaged plan keeps nobody from withdrawing
+            known = read_holder(folder) or known
+        anchors = tuple(read_anchor(path) for path in list_journals(folder))
+        utc = now().isoformat(timespec="seconds")
+        own = (participant, known.number, known.simulated, utc, reason, anchors)
+        stone = people.Tombstone(*own, state=people.REMOVING)
     _remove_link(folder, warn)
-    with hold_folder(folder), declaring(study, "withdraw", who=participant, warn=warn):
+    with hold_folder(folder, ends=True), declaring(study, "withdraw", who=participant, warn=warn):
         people.write_tombstone(folder, replace(stone, state=people.REMOVING))
         removed += _remove_data(folder, warn)
         _clear_derived(study, stone, warn)
         people.write_tombstone(folder, replace(stone, state=people.REMOVED))
-    (folder / people.LOCK_FILE).unlink(missing_ok=True)
     return removed
 
 
-def _withdraw_rehearsals(study: StudyFolder, participant: str, *, say: Say) -> list[str]:
+def _withdraw_rehearsals(study: StudyFolder, participant: str, say: Say) -> list[str]:
     """Remove what was rehearsed under the participant's code."""
     rehearsals = replace(study, is_rehearsal=True).sessions
     folder = rehearsals / participant
@@ -98,29 +94,20 @@ def _withdraw_rehearsals(study: StudyFolder, participant: str, *, say: Say) -> l
     if not is_code or not (folder.is_symlink() or folder.is_dir()):
         return []
     _remove_link(folder, say)
-    with hold_folder(folder):
+    with hold_folder(folder, ends=True):
         removed = _remove_data(folder, say)
-    (folder / people.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return [f"{rehearsals.name}/{participant}/{name}" for name in removed]
 
 
-def _make_tombstone(folder: Path, *, reason: str, now: Clock) -> people.Tombstone:
-    known = Holder(folder.name, 0, simulated=False)
-    with suppress(ValueError):  # a damaged plan keeps nobody from withdrawing
-        known = read_holder(folder) or known
-    anchors = tuple(read_anchor(path) for path in list_journals(folder))
-    utc = now().isoformat(timespec="seconds")
-    own = (folder.name, known.number, known.simulated, utc, reason, anchors)
-    return people.Tombstone(*own, state=people.REMOVING)
-
-
 def _clear_derived(study: StudyFolder, stone: people.Tombstone, say: Say) -> None:
     """Remove the participant from all that was derived, whatever a kill left of it included; say what is left."""
-    sweep(study.path)
-    sweep_temporary()
+    files.sweep(study.path)
+    files.sweep_temporary()
     for path in sorted(study.path.rglob("*")):
-        is_unfinished = UNFINISHED.fullmatch(path.name) or TEMPORARY.fullmatch(path.name)
+        is_unfinished = files.UNFINISHED.fullmatch(path.name) or files.TEMPORARY.fullmatch(
+            path.name
+        )
         if is_unfinished and not _remove_link(path, say):
             say(f"{path}: is still being written; when it is finished, run feel321 audit")
     _remove_link(study.path / WIDE, say)
@@ -141,25 +128,32 @@ def _clear_derived(study: StudyFolder, stone: people.Tombstone, say: Say) -> Non
             # A derived table can be made again; the data of someone who withdrew may not stay.
             path.unlink(missing_ok=True)
             say(f"{path}: was removed, because it could not be rewritten ({error})")
-    if stone.journals:
-        _clear_results(study, say)
+    for folder in _list_results(study) if stone.journals else ():
+        _clear_results(folder, say)
     for path, text in _list_outputs(study, before=stone.utc if stone.journals else ""):
         say(text if path.exists() else f"{text}; nothing is there now")
 
 
-def _clear_results(study: StudyFolder, say: Say) -> None:
-    """Remove the folders of results that were made of ratings."""
+def _clear_results(folder: Path, say: Say) -> None:
+    """Remove a folder of results that were made of ratings."""
     from feel321.analysis.report.folder import remove_results
 
-    for folder in _list_results(study):
-        if _remove_link(folder, say):
-            continue
-        remove_results(folder)
-        verb = {"report": "analyze"}.get(folder.name, folder.name)
-        held = "results were removed because they held the participant's data"
-        say(f"{folder}: {held}; make them again: feel321 {verb}")
-        if folder.exists():
-            say(f"{folder}: holds other files; remove those with the participant's data")
+    if _remove_link(folder, say):
+        return
+    remove_results(folder)
+    verb = {"report": "analyze"}.get(folder.name, folder.name)
+    held = "results were removed because they held the participant's data"
+    say(f"{folder}: {held}; make them again: feel321 {verb}")
+    if folder.exists():
+        say(f"{folder}: holds other files; remove those with the participant's data")
+
+
+def _list_results(study: StudyFolder) -> Iterator[Path]:
+    """List the folders of results made of ratings; a trade-off of recordings alone takes long and holds nobody's."""
+    for folder in (study.path / name for name in RESULTS):
+        is_unrated = folder.name == "tradeoff" and not (folder / "tables" / "people.csv").is_file()
+        if folder.is_symlink() or (folder.is_dir() and not is_unrated):
+            yield folder
 
 
 def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> int:
@@ -169,8 +163,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     """
     folder = require_folder(study, participant)
     with hold_folder(folder):
-        holder, journals = read_holder(folder), list_journals(folder)
-        journal = require_journal(journals[-1], now=now) if journals else None
+        holder, (journal, has_begun) = read_holder(folder), _open_newest(folder, now)
         refused = ""
         if people.read_tombstone(folder) is not None:
             refused = "withdrew, there is nothing to release"
@@ -182,7 +175,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
             refused = "has finished, so the slot stays taken; to remove the data: feel321 withdraw"
         if refused or holder is None:
             raise ValueError(f"participant {participant}: {refused}")
-        if journal and (len(journals) > 1 or journal.records.find_header()):
+        if journal and (len(list_journals(folder)) > 1 or has_begun):
             journal.write(SessionReleased())
             return holder.number
         _remove_data(folder, lambda _: None)
@@ -200,13 +193,20 @@ def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) ->
     if people.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, nothing is recorded any longer")
     with hold_folder(folder):
-        journals = list_journals(folder)
-        journal = require_journal(journals[-1], now=now) if journals else None
-        if journal is None or journal.records.find_header() is None:
+        journal, has_begun = _open_newest(folder, now)
+        if journal is None or not has_begun:
             text = "no session has begun, so there is no journal; begin one, then add the note"
             raise ValueError(f"participant {participant}: {text}")
         journal.write(note)
     return journal.notice
+
+
+def _open_newest(folder: Path, now: Clock) -> tuple[Journal | None, bool]:
+    """Open the newest journal of a participant, if there is one; whether it has its header."""
+    if not (journals := list_journals(folder)):
+        return None, False
+    journal = require_journal(journals[-1], now=now)
+    return journal, journal.records.find_header() is not None
 
 
 def require_folder(study: StudyFolder, participant: str) -> Path:
@@ -219,12 +219,14 @@ def require_folder(study: StudyFolder, participant: str) -> Path:
 
 
 @contextmanager
-def hold_folder(folder: Path) -> Iterator[None]:
-    """Keep sessions from writing to a participant's folder."""
+def hold_folder(folder: Path, *, ends: bool = False) -> Iterator[None]:
+    """Keep sessions from writing to a participant's folder; ends: for the last time."""
     make_folder(folder, private=True)
     busy = "a session is running here; let it finish or stop it first"
     with hold_lock(folder / people.LOCK_FILE, busy=busy):
         yield
+    if ends:
+        (folder / people.LOCK_FILE).unlink(missing_ok=True)
 
 
 def _remove_data(folder: Path, say: Say) -> list[str]:
@@ -257,15 +259,6 @@ def _remove_link(path: Path, say: Say) -> bool:
     return True
 
 
-def _list_results(study: StudyFolder) -> Iterator[Path]:
-    """List the folders of results made of ratings; a trade-off of recordings alone takes long and holds nobody's."""
-    for folder in (study.path / name for name in RESULTS):
-        rated = folder / "tables" / "people.csv"
-        is_unrated = folder.name == "tradeoff" and not rated.is_file()
-        if folder.is_symlink() or (folder.is_dir() and not is_unrated):
-            yield folder
-
-
 # What is left of those who withdrew, for the audit.
 
 
@@ -273,46 +266,42 @@ def find_data_left(study: StudyFolder) -> Iterator[str]:
     """Find data of those who withdrew in every place but their own folder, which the audit looks at by itself."""
     from feel321.analysis.report.folder import list_own
 
-    stones = _read_tombstones(study)
-    for name in stones:
+    names, last = _find_withdrawn(study)
+    for name in names:
         finish = f"who withdrew; finish: feel321 withdraw {study.path} --participant {name}"
-        if (rehearsed := study.path / "rehearsals" / name).exists():
-            yield f"{rehearsed}: is of a rehearsal of {name}, {finish}"
-        if (own := study.path / WIDE / f"{name}.csv").exists():
-            yield f"{own}: is of {name}, {finish}"
+        places = {
+            study.path / "rehearsals" / name: f"is of a rehearsal of {name}",
+            study.path / WIDE / f"{name}.csv": f"is of {name}",
+        }
+        yield from (f"{path}: {what}, {finish}" for path, what in places.items() if path.exists())
         for table in (study.path / one for one in TABLES):
             text = table.read_text(encoding="utf-8", errors="replace") if table.is_file() else ""
             if any(row.get("participant") == name for row in csv.DictReader(text.splitlines())):
                 yield f"{table}: holds rows of {name}, {finish}"
-    if newest := _find_newest(stones):
-        last = datetime.fromisoformat(newest).timestamp()
-        results = [folder / name for folder in _list_results(study) for name in list_own(folder)]
-        for path in (one for one in results if one.stat().st_mtime < last):
-            yield f"{path}: was made before somebody withdrew; remove it, and make it again"
+    for folder in _list_results(study) if last else ():
+        for path in (folder / name for name in list_own(folder)):
+            if path.stat().st_mtime < datetime.fromisoformat(last).timestamp():
+                yield f"{path}: was made before somebody withdrew; remove it, and make it again"
 
 
 def list_stale(study: StudyFolder) -> Iterator[str]:
     """Name what verbs wrote outside of the study before somebody withdrew, as far as it is there."""
-    outputs = _list_outputs(study, before=_find_newest(_read_tombstones(study)))
+    outputs = _list_outputs(study, before=_find_withdrawn(study)[1])
     yield from (text for path, text in outputs if path.exists())
 
 
-def _read_tombstones(study: StudyFolder) -> dict[str, people.Tombstone]:
-    found = {}
+def _find_withdrawn(study: StudyFolder) -> tuple[list[str], str]:
+    """Find who withdrew, and when the last did who had recorded something; empty if nobody."""
+    stones = dict[str, people.Tombstone]()
     for folder in study.participants:
         with suppress(ValueError):  # reported by whoever looks at the folder
             if stone := people.read_tombstone(folder):
-                found[folder.name] = stone
-    return found
-
-
-def _find_newest(stones: dict[str, people.Tombstone]) -> str:
-    """Find when the last of those withdrew who had recorded something; empty if nobody."""
+                stones[folder.name] = stone
     times = [one.utc for one in stones.values() if one.journals]
-    return max(times, key=datetime.fromisoformat, default="")
+    return [*stones], max(times, key=datetime.fromisoformat, default="")
 
 
-# What verbs write outside of the study.
+# What verbs write: elsewhere, or into the study's own folders of results.
 
 
 @contextmanager
@@ -371,7 +360,7 @@ def closing_results(study: StudyFolder, folder: Path) -> Iterator[None]:
     if os.name == "nt" or not study.settings.is_file() or not _is_own(study, folder):
         yield
         return
-    is_shared = study.sessions.is_dir() and is_of_group(study.sessions)
+    is_shared = study.sessions.is_dir() and files.is_of_group(study.sessions)
     is_new, mode = not folder.exists(), 0o750 if is_shared else 0o700
     make_folder(folder, private=True)
     folder.chmod(mode)

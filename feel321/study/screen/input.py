@@ -8,7 +8,7 @@ from typing import Any, Literal, NamedTuple
 from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.protocols.texts import Answer as QuestionAnswer
 from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
-from feel321.study.keys import PLAY, USUAL, KeysTable, label_key, label_keys, label_prompts
+from feel321.study.keys import PLAY, USUAL, KeysTable, label_key, label_texts
 from feel321.study.screen.sheet import Target
 from feel321.study.session.ports import Felt, Move, Place
 
@@ -134,7 +134,7 @@ class ScreenTexts:
 def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> ScreenTexts:
     """Pick the screen's texts from those of a language, with the names of the lab's own keys."""
     pages, lines, asked = tables["pages"], tables["keys"], tables["questions"]["prompts"]
-    prompts, labelled = label_prompts(keys, tables["prompts"], lines), label_keys(keys, lines)
+    labelled, prompts = label_texts(keys, lines, tables["prompts"])
     labelled["confirm_typed"] = lines["confirm"]  # Enter, whatever key confirms elsewhere
     labelled["loop"] = f"{label_key(keys.loop[0], {})}  {LOOP}"
     refusals = {**tables["refusals"], **asked}

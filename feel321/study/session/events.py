@@ -248,8 +248,9 @@ class Played:
         put(self, "clipped", int(self.clipped))
         put(self, "completed", bool(self.completed))
         for name in ("measured", "delivered"):
-            numbers = getattr(self, name)
-            put(self, name, {key: float(one) for key, one in numbers.items() if isfinite(one)})
+            if numbers := getattr(self, name):
+                known = {key: float(one) for key, one in numbers.items() if isfinite(one)}
+                put(self, name, known)
 
 
 class PartEvent(AttemptEvent):
@@ -387,6 +388,8 @@ def judge(event: TrialRated | TrialSpoiled, flow: Flow) -> str:
 
 def find_faults(played: Played, flow: Flow) -> dict[str, str]:
     """Find what the device did wrong in a playback: flag -> words for the experimenter."""
+    if not (played.error or played.fault or played.underruns or played.clipped or played.delivered):
+        return {}
     loss = find_loss(played.delivered, flow)
     faults = {
         "device_error": played.error,

@@ -17,7 +17,6 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from annotated_types import Interval
-from pydantic_core import from_json, to_json
 
 from feel321.files import create_text
 from feel321.protocols import order as orders
@@ -50,6 +49,7 @@ Policy = Literal["warm_up", "continue", "restart"]
 POLICIES: tuple[Policy, ...] = get_args(Policy)
 """Ways to resume a session after a long break: practice first, go on at once, or begin anew beside it."""
 
+_BEGIN = f'{{\n "format": {FORMAT},'.encode()
 _SEAL = b',\n "sha256": "'
 
 
@@ -191,18 +191,15 @@ def _read_plan(content: bytes, path: Path) -> Plan:
         raise ValueError(
             f"{path}: not a plan, or changed after it was stored; restore the file from a copy"
         )
+    text = b"{" + body.removeprefix(_BEGIN) if body.startswith(_BEGIN) else body
     try:
-        entry = from_json(body)
-        stored = entry.pop("format", None)
-        entry |= {} if stored == FORMAT else {f"format {stored}, not {FORMAT}": stored}
-        text = to_json({**entry, "sha256": journals.digest(body)})
         plan: Plan = events.make_adapter(Plan).validate_json(text, strict=True, extra="forbid")
     except (ValueError, AttributeError, RecursionError) as error:
         reason = events.describe_fault(error)
         raise ValueError(
             f"{path}: not a plan as this version writes it ({reason}); use the feel321 that wrote it"
         ) from None
-    return plan
+    return replace(plan, sha256=journals.digest(body))
 
 
 def _seal(body: bytes) -> bytes:

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from feel321.analysis.table.items import Table
+    from feel321.records import Statistic
 
     Plant = Callable[..., Any]
 
@@ -34,6 +35,10 @@ def vote(*rows: tuple[str, str, str, int], **higher: str) -> Table:
     return analysis.read_table(votes, STIMULI, metrics=["match", "distance"], info=info)
 
 
+def predict_all(table: Table) -> Statistic:
+    return predict(gather_votes(table, table.metrics))
+
+
 HAND = (
     ("a", "x", "y", 100), ("b", "y", "x", 0), ("c", "x", "y", 0),
     ("a", "y", "z", 100), ("b", "z", "y", 100), ("a", "z", "x", 0),
@@ -41,7 +46,7 @@ HAND = (
 
 
 def test_shares_counted_by_hand() -> None:
-    found = analysis.predict_votes(vote(*HAND, distance="worse"))
+    found = predict_all(vote(*HAND, distance="worse"))
     # match: x, x, not y, y, not z, x. distance: the same, but y and z are alike and count half.
     assert found.shares["share"].tolist() == [4 / 6, (2 + 1) / 6 + 1 / 6]
     assert found.shares["n_ties"].tolist() == [0, 2]
@@ -56,7 +61,7 @@ def test_shares_counted_by_hand() -> None:
 
 def test_a_larger_value_is_better_unless_it_is_worse() -> None:
     tables = vote(*HAND), vote(*HAND, match="better"), vote(*HAND, match="worse")
-    shares = [analysis.predict_votes(one, ["match"]).shares["share"].iloc[0] for one in tables]
+    shares = [predict(gather_votes(one, ["match"])).shares["share"].iloc[0] for one in tables]
     assert shares == [4 / 6, 4 / 6, 2 / 6]
 
 
@@ -65,8 +70,7 @@ def test_what_comes_first_changes_no_share(plant: Plant) -> None:
     turned = planted.votes.rename(columns={"stimulus_id": "other_id", "other_id": "stimulus_id"})
     turned = turned.assign(rating=100 - turned["rating"])
     one, other = (
-        analysis.predict_votes(planted._replace(votes=votes).read())
-        for votes in (planted.votes, turned)
+        predict_all(planted._replace(votes=votes).read()) for votes in (planted.votes, turned)
     )
     pd.testing.assert_frame_equal(one.shares, other.shares)
     assert (one.others, one.majority) == (other.others, other.majority)
@@ -95,7 +99,7 @@ def test_repeats_of_a_person_are_not_others() -> None:
 
 
 def test_planted_metrics_are_found_and_ranked(plant: Plant) -> None:
-    found = analysis.predict_votes(plant(weights=(8.0, 4.0), recordings=12).read())
+    found = predict_all(plant(weights=(8.0, 4.0), recordings=12).read())
     assert (found.shares["p_holm"] < 0.05).tolist() == [True, True]
     assert found.shares["share"].is_monotonic_decreasing
     (row,) = found.differences.to_dict("records")
@@ -122,7 +126,7 @@ def test_every_metric_and_pair_of_metrics_counts_for_holm(plant: Plant) -> None:
     rng = np.random.default_rng(1)
     names = [f"m{number}" for number in range(8)]
     stimuli = planted.stimuli.assign(**{name: rng.random(len(planted.stimuli)) for name in names})
-    found = analysis.predict_votes(planted._replace(stimuli=stimuli).read(metrics=names))
+    found = predict_all(planted._replace(stimuli=stimuli).read(metrics=names))
     assert (found.n_votes, len(found.differences)) == (1600, 28)
     assert found.shares["p_holm"].min() == pytest.approx(min(8 * found.shares["p"].min(), 1))
     smallest = found.differences["p"].min()

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.association.correlate import correlate
+from feel321.analysis.association import correlate
 from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.metrics import FURTHER, describe_manifest
 from feel321.analysis.table.reading import ROSTER, read_table

@@ -67,10 +67,7 @@ INDICES: dict[str, Callable[[pd.DataFrame], pd.DataFrame]] = {
 OTHERS = {"bradley_terry by rater", "find_sources", "profile_reducers"}
 """Further forms, and functions that are not on the face."""
 
-CHOICES = {"predict_votes"}
-"""What takes choices between two stimuli, tried in `tests/analysis/choices`."""
-
-ELSEWHERE = {"advise_tradeoff", "read_table", "write_report", *CHOICES}
+ELSEWHERE = {"advise_tradeoff", "read_table", "write_report"}
 """What is tried with ratings in `test_{people,table,notebook}`."""
 
 PAIRS = {"bradley_terry by rater", "bradley_terry"}

@@ -21,18 +21,11 @@ def make_votes(
     """Make ratings of honest people: quality plus bias plus noise of each person's own spread."""
     rng = np.random.default_rng(seed)
     quality = rng.uniform(20, 80, items)
-    who, what, _ = (
-        part.ravel()
-        for part in np.meshgrid(range(len(PEOPLE)), range(items), range(repeats), indexing="ij")
-    )
+    who, what, _ = (axis.ravel() for axis in np.indices((len(PEOPLE), items, repeats)))
     noise = rng.normal(0, np.broadcast_to(spread, len(PEOPLE))[who])
     rating = quality[what] + np.broadcast_to(bias, len(PEOPLE))[who] + noise
-    return pd.DataFrame({
-        "participant": np.array(PEOPLE)[who],
-        "stimulus_id": what,
-        "rating": rating,
-        "quality": quality[what],
-    })
+    columns = {"stimulus_id": what, "rating": rating, "quality": quality[what]}
+    return pd.DataFrame({"participant": np.array(PEOPLE)[who], **columns})
 
 
 def test_planted_raters_and_qualities_are_recovered() -> None:
@@ -56,11 +49,8 @@ def test_planted_raters_and_qualities_are_recovered() -> None:
 def test_scales_and_shifts_of_the_votes_carry_over() -> None:
     rows = make_votes(4, spread=np.linspace(4, 12, 20))
     one, other = rater_model(rows), rater_model(rows.assign(rating=3 * rows["rating"] - 40))
-    pd.testing.assert_frame_equal(
-        other.raters[["bias", "inconsistency"]],
-        3 * one.raters[["bias", "inconsistency"]],
-        rtol=1e-6,
-    )
+    names = ["bias", "inconsistency"]
+    pd.testing.assert_frame_equal(other.raters[names], 3 * one.raters[names], rtol=1e-6)
     np.testing.assert_allclose(other.stimuli["quality"], 3 * one.stimuli["quality"] - 40, rtol=1e-6)
     assert other.apart == one.apart
 

@@ -30,29 +30,19 @@ def simulate(protocol: str, *, steps: int = 0, seed: int = 0, bad: bool = False)
     original = np.array([reducer == "original" for _, reducer in names])
     parts = []
     for person in range(PEOPLE):
-        bias, gain, noise = (
-            rng.normal(0, 6),
-            np.exp(rng.normal(0, 0.15)),
-            8 * np.exp(rng.normal(0, 0.2)),
-        )
+        bias, gain = rng.normal(0, 6), np.exp(rng.normal(0, 0.15))
+        noise = 8 * np.exp(rng.normal(0, 0.2))
         percept = 50 + gain * (felt - 50) + bias
         for repeat in (1, 2):
             rating = percept + rng.normal(0, noise, len(felt))
             if protocol in SIGHTED:  # who knows the reference again puts it at the top
                 rating = np.where(original, 100 - np.abs(rng.normal(0, 3, len(felt))), rating)
-            parts.append(
-                pd.DataFrame(names, columns=["recording", "reducer"]).assign(
-                    participant=f"p{person:02d}",
-                    repeat=repeat,
-                    rating=_spoil(person, rating, rng) if bad else rating,
-                )
-            )
+            rating = _spoil(person, rating, rng) if bad else rating
+            part = pd.DataFrame(names, columns=["recording", "reducer"])
+            parts.append(part.assign(participant=f"p{person:02d}", repeat=repeat, rating=rating))
     table = pd.concat(parts)
-    kinds = table["reducer"].map({
-        "original": "reference",
-        "anchor_mid": "anchor",
-        "anchor_low": "anchor",
-    })
+    roles = {"original": "reference", "anchor_mid": "anchor", "anchor_low": "anchor"}
+    kinds = table["reducer"].map(roles)
     ratings = table["rating"].clip(0, 100).round(1)
     if steps:
         ratings = (ratings * (steps - 1) / 100).round() * 100 / (steps - 1)
@@ -97,10 +87,8 @@ def test_rules_of_mushra_are_not_applied_to_other_protocols(protocol: str) -> No
     # The same ratings as MUSHRA: nearly nobody knows the reference again.
     assert len(screen_raters(table.assign(protocol="mushra")).hits["hidden_reference"]) > PEOPLE / 2
     both = screen_raters(pd.concat([table, simulate("mushra")]))
-    assert (both.count["hidden_reference"].max(), both.table["n"].max()) == (
-        0,
-        2 * 2 * RECORDINGS * REDUCERS,
-    )
+    assert both.count["hidden_reference"].max() == 0
+    assert both.table["n"].max() == 2 * 2 * RECORDINGS * REDUCERS
     assert set(both.table.query("rule == 'hidden_reference'")["n"]) == {2 * RECORDINGS}
 
 

@@ -18,27 +18,16 @@ EXCERPTS, REDUCERS, PEOPLE = 10, 4, 12
 def panel(seed: int = 0, *, people: int = PEOPLE, repeats: int = 2) -> pd.DataFrame:
     """Make a study of good raters: reference near 100, mid anchor near 50, low anchor near 10."""
     rng = np.random.default_rng(seed)
-    places = {
-        "original": ("reference", 97),
-        "anchor_mid": ("anchor", 50),
-        "anchor_low": ("anchor", 10),
-    }
+    places = {"original": ("reference", 97), "anchor_mid": ("anchor", 50)}
+    places |= {"anchor_low": ("anchor", 10)}
     places |= {f"reducer{number}": ("test", 30 + 12 * number) for number in range(REDUCERS)}
     rows = [
-        (
-            f"p{person:02d}",
-            f"r{excerpt}",
-            reducer,
-            role,
-            repeat,
-            mean + 2 * (excerpt % 3),
-            rng.uniform(2, 6),
-        )
+        (f"p{person:02d}", f"r{excerpt}", reducer, role, repeat, mean + 2 * (excerpt % 3), rng.uniform(2, 6))
         for person in range(people)
         for repeat in range(1, repeats + 1)
         for excerpt in range(EXCERPTS)
         for reducer, (role, mean) in places.items()
-    ]
+    ]  # fmt: skip
     columns = ["participant", "recording", "reducer", "role", "repeat", "rating", "response_time_s"]
     table = pd.DataFrame(rows, columns=columns).assign(
         scale="mushra", protocol="mushra", level="as_is"
@@ -48,15 +37,11 @@ def panel(seed: int = 0, *, people: int = PEOPLE, repeats: int = 2) -> pd.DataFr
 
 
 def alter(
-    table: pd.DataFrame,
-    change: Callable[[pd.DataFrame], object],
-    *,
-    whose: str = "p03",
-    **only: str,
+    table: pd.DataFrame, change: Callable[[pd.DataFrame], object], **only: str
 ) -> pd.DataFrame:
     """Give one participant's rows, of one role or reducer only, other ratings."""
     changed = table.copy()
-    mask = changed["participant"] == whose
+    mask = changed["participant"] == "p03"
     for name, value in only.items():
         mask &= changed[name] == value
     changed.loc[mask, "rating"] = change(changed[mask])
@@ -97,23 +82,10 @@ def test_each_rule_hits_whom_it_is_made_for(rule: str) -> None:
 
 def test_table_has_one_row_per_rater_and_rule() -> None:
     found = screen_raters(panel(), rng=np.random.default_rng(1))
-    assert list(found.table.columns) == [
-        "participant",
-        "rule",
-        "count",
-        "n",
-        "share",
-        "limit",
-        "hit",
-    ]
+    assert list(found.table) == ["participant", "rule", "count", "n", "share", "limit", "hit"]
     assert len(found.table) == PEOPLE * len(RULES)
-    assert (
-        list(found.share.columns)
-        == list(found.limit.columns)
-        == list(found.count.columns)
-        == list(RULES)
-    )
-    assert found.count.shape == (PEOPLE, len(RULES))
+    for wide in (found.share, found.limit, found.count):
+        assert (list(wide), len(wide)) == (list(RULES), PEOPLE)
 
 
 @pytest.mark.parametrize(("bad", "hit"), [(3, False), (4, True)])
@@ -247,12 +219,11 @@ def test_gauge_is_an_analysis_of_variance() -> None:
     expected = f_oneway(
         *(part["rating"] for _, part in own.groupby(["recording", "reducer"]))
     ).statistic
-    found = gauge.set_index(["participant", "measure"])["value"]
+    whole = gauge.set_index(["participant", "measure"])
+    found = whole["value"]
     assert found["p00", "discrimination"] == pytest.approx(expected)
     # A rater whom no shuffle matches: 1 of 500, the rater's own order included.
-    assert gauge.set_index(["participant", "measure"]).loc[
-        ("p00", "discrimination"), "p"
-    ] == pytest.approx(1 / 500)
+    assert whole.loc[("p00", "discrimination"), "p"] == pytest.approx(1 / 500)
     ratio = found.xs("discrimination", level="measure") / found.xs("reliability", level="measure")
     assert ratio.mean() == pytest.approx(1)  # each rater's items against the panel's average
 

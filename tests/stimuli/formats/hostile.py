@@ -83,7 +83,9 @@ HOSTILE: dict[str, tuple[str, Callable[[], bytes], str]] = {
         "promises 10,000,000,001 samples",
     ),
     "csv: Latin-1": ("a.csv", lambda: b"x,y,z\n1,2,3\n1,2,\xb5\n", r"line 3 holds the byte 0xb5, .* byte 17"),
-    "csv: UTF-16": ("a.csv", lambda: "x,y,z\n1,2,3\n".encode("utf-16"), "UTF-16"),
+    "csv: UTF-16": (
+        "a.csv", lambda: "x,y,z\n1,2,3\n".encode("utf-16"), "UTF-16 or UTF-32; save the file as UTF-8",
+    ),
     "csv: zero byte": ("a.csv", lambda: b"x,y,z\n" + b"1,2,3\n" * 2000 + b"1,\0,3\n", "line 2002 holds a zero byte"),
     "xml: 2 000 000 tags": ("a.xml", lambda: b"<a>" + b"<b/>" * 2_000_000 + b"</a>", "more than 10000 tags"),
     "xml: 100 000 levels": ("a.xml", lambda: b"<a>" * 100_000, "more than 10000 tags"),

@@ -1,8 +1,11 @@
+"""The mixer and its parts: limiter, masking noise, and what comes out on every channel, whatever the blocks."""
+
 from __future__ import annotations
 
 import threading
 import tracemalloc
-from typing import Any
+from itertools import cycle, pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -10,8 +13,222 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
-from feel321.study.actuator.mixer import Cue, Mixer
+from feel321.study.actuator.mixer import Cue, Limiter, Masker, Mixer, make_pink
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig, SyncTable
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+# The limiter.
+
+LIMITER_HZ = 1000.0  # a window of 1000 samples, a pause of 100
+BLOCK = 100
+BLOCKS = st.lists(st.integers(1, BLOCK), min_size=1, max_size=5)
+
+
+def cut(out: np.ndarray, sizes: list[int]) -> Iterator[np.ndarray]:
+    """Cut samples into blocks of the given sizes, over and over."""
+    place = 0
+    for size in cycle(sizes):
+        if place >= len(out):
+            return
+        yield out[place : place + size]
+        place += size
+
+
+def limiter(peak: float = 1.0, rms: float = 1.0, duration_s: float = 100.0) -> Limiter:
+    return Limiter(LIMITER_HZ, peak=peak, rms=rms, duration_s=duration_s, max_frames=BLOCK)
+
+
+def run(
+    watch: Limiter, samples: np.ndarray, sizes: list[int] | None = None
+) -> tuple[np.ndarray, int]:
+    """What comes out if the blocks have the given sizes, over and over, and how many samples were changed."""
+    out = samples.astype(np.float32)
+    return out, sum(watch.limit(block) for block in cut(out, sizes or [BLOCK]))
+
+
+def noise(seed: int, n: int, rms: float) -> np.ndarray:
+    return np.random.default_rng(seed).normal(0, rms, n).astype(np.float32)
+
+
+def largest_rms(samples: np.ndarray) -> float:
+    """The RMS of every second, one by one."""
+    padded = np.concatenate([np.zeros(999), samples.astype(np.float64)])
+    return max(float(np.sqrt(np.mean(padded[i : i + 1000] ** 2))) for i in range(len(samples)))
+
+
+@given(st.integers(0, 99), BLOCKS)
+def test_within_the_limits_nothing_changes(seed: int, sizes: list[int]) -> None:
+    samples = noise(seed, 3000, 0.1)
+    out, changed = run(limiter(peak=1.0, rms=0.2), samples, sizes)
+    assert_array_equal(out, samples)
+    assert changed == 0
+
+
+@pytest.mark.parametrize("level", [0.3, 1.0])
+def test_what_just_meets_the_limits_passes(level: float) -> None:
+    """For hours, in the limiter's measure: rounding does not add up."""
+    samples = np.full(BLOCK, level, dtype=np.float32)
+    samples[1::2] *= -1
+    watch = limiter(peak=level, rms=float(np.float32(level)), duration_s=1e9)
+    assert sum(watch.limit(samples) for _ in range(5000)) == 0
+
+
+@pytest.mark.parametrize("rms", [0.05, 0.2])
+def test_no_second_is_louder_than_allowed(rms: float) -> None:
+    parts = [noise(1, 900, 0.1), noise(2, 1500, 0.4), np.zeros(300), noise(3, 900, 0.4)]
+    samples = np.concatenate(parts)
+    out, changed = run(limiter(rms=rms), samples)
+    assert largest_rms(out) <= rms * (1 + 1e-7)
+    assert largest_rms(out) > 0.999 * rms
+    assert changed == np.count_nonzero(out != samples.astype(np.float32))
+    assert np.all(np.abs(out) <= np.abs(samples))
+    assert np.all(out * samples >= 0)
+
+
+def greedy(samples: np.ndarray, rms: float) -> np.ndarray:
+    """Sample by sample: each gets at most what the last second leaves."""
+    out = samples.astype(np.float64)
+    for i in range(len(out)):
+        before = np.sum(out[max(i - 999, 0) : i] ** 2)
+        out[i] = np.copysign(min(abs(out[i]), max(rms**2 * 1000 - before, 0) ** 0.5), out[i])
+    return out
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_each_sample_gets_what_the_last_second_leaves(seed: int) -> None:
+    samples = np.clip(noise(seed, 3500, 0.3), -1, 1)
+    samples[1000:1600] *= 0.1
+    out, _ = run(limiter(rms=0.25), samples, [37])
+    np.testing.assert_allclose(out, greedy(samples, 0.25), atol=2e-3)
+    np.testing.assert_allclose(
+        np.cumsum(out**2.0), np.cumsum(greedy(samples, 0.25) ** 2), rtol=1e-5
+    )
+
+
+@pytest.mark.parametrize(("gap", "is_shared"), [(200, True), (350, True), (370, False)])
+def test_a_second_is_watched_across_silence(gap: int, is_shared: bool) -> None:
+    """Two bursts share it if both are loud in one, however the silence between them is cut into blocks."""
+    burst = np.full(400, 0.5)
+    samples = np.concatenate([burst, np.zeros(gap), burst])
+    for sizes in ([BLOCK], [37], [1, 99]):
+        out, changed = run(limiter(rms=0.4), samples, sizes)
+        assert (changed > 0) is is_shared
+        assert largest_rms(out) <= 0.4 * (1 + 1e-7)
+
+
+def test_what_is_no_number_is_silence_and_blinds_nothing() -> None:
+    samples = np.full(3000, 0.5, dtype=np.float32)
+    samples[[0, 150, 151, 1999]] = np.nan
+    samples[700] = np.inf
+    out, changed = run(limiter(peak=0.6, rms=0.3), samples)
+    assert np.isfinite(out).all()
+    assert largest_rms(out) <= 0.3 * (1 + 1e-7)
+    assert changed == np.count_nonzero(out != samples)
+    assert not out[[0, 150, 151]].any()
+
+
+def test_what_lasts_too_long_is_muted_until_a_pause() -> None:
+    long = np.full(1500, 0.1)
+    short_rest, pause = np.zeros(99), np.zeros(100)
+    out, changed = run(
+        limiter(duration_s=1.0), np.concatenate([long, short_rest, long, pause, long]), [70]
+    )
+    expected = np.zeros_like(out)
+    expected[:1000] = 0.1
+    expected[3199:4199] = 0.1
+    assert_array_equal(out, expected.astype(np.float32))
+    assert changed == 500 + 1500 + 500
+
+
+# Masking noise.
+
+RAMP, LEAD = 20, 50
+COLUMNS = [1, 2]
+
+
+def pink(n: int = 480_000, seed: int = 1) -> np.ndarray:
+    return make_pink(np.random.default_rng(seed), n_samples=n, rate_hz=48000.0)
+
+
+def test_pink_falls_by_ten_decibels_per_decade() -> None:
+    noise = np.stack([pink(seed=seed) for seed in range(4)])
+    power = np.mean(np.abs(np.fft.rfft(noise)) ** 2, axis=0)
+    frequencies = np.fft.rfftfreq(480_000, 1 / 48000)
+    edges = np.geomspace(25, 20000, 25)
+    bands = [(frequencies >= low) & (frequencies < high) for low, high in pairwise(edges)]
+    levels = [10 * np.log10(power[band].mean()) for band in bands]
+    middles = [np.log10(frequencies[band].mean()) for band in bands]
+    slope = np.polyfit(middles, levels, 1)[0]
+    assert slope == pytest.approx(-10, abs=0.15)
+    assert power[frequencies < 19].max() < 1e-9 * power.max()
+
+
+@pytest.mark.parametrize("n", [480_000, 9_999])
+def test_the_loop_does_not_click(n: int) -> None:
+    """The step from the last sample to the first is like all others, in the first and the second difference."""
+    noise = pink(n)
+    for order in (1, 2):
+        steps = np.abs(np.diff(noise, n=order))
+        seam = np.abs(np.diff(np.concatenate([noise[-order:], noise[:order]]), n=order))
+        assert seam.max() < 5 * np.sqrt(np.mean(steps**2))
+
+
+def masker(ramp: int = RAMP, lead: int = LEAD, noise: np.ndarray | None = None) -> Masker:
+    ones = np.ones(4096, dtype=np.float32)
+    own: Any = {"ramp_frames": ramp, "lead_frames": lead, "max_frames": 4096}
+    return Masker(ones if noise is None else noise, columns=COLUMNS, **own)
+
+
+def hear(watch: Masker, n: int, *, frame: int = 0, size: int = 64) -> np.ndarray:
+    out = np.zeros((n, 3), dtype=np.float32)
+    for start in range(0, n, size):
+        watch.fill(out[start : start + size], frame + start)
+    assert not out[:, 0].any()
+    assert_array_equal(out[:, 1], out[:, 2])
+    return out[:, 1]
+
+
+@given(gap=st.integers(0, 200), length=st.integers(1, 300), size=st.integers(1, 400))
+def test_it_begins_before_and_ends_after(gap: int, length: int, size: int) -> None:
+    watch = masker()
+    onset = watch.cover(0, gap)
+    assert onset == max(gap, LEAD)
+    heard = hear(watch, onset + length, size=size)
+    watch.release(onset + length)
+    tail = hear(watch, 200, frame=onset + length, size=size)
+    begin = onset - LEAD
+    assert not heard[:begin].any()
+    assert heard[begin] > 0
+    assert np.all(np.diff(heard[begin : begin + RAMP]) > 0)
+    assert_array_equal(heard[begin + RAMP - 1 :], 1)
+    assert_array_equal(tail[: LEAD - RAMP], 1)
+    assert np.all(np.diff(tail[LEAD - RAMP - 1 : LEAD - 1]) < 0)
+    assert not tail[LEAD - 1 :].any()
+
+
+@pytest.mark.parametrize(
+    ("gap", "is_gone"),
+    [(0, False), (LEAD + 5, False), (500, True)],
+    ids=["it stays", "it stays where it would be back at once", "it comes again"],
+)
+def test_the_next_stimulus_decides_whether_it_goes(gap: int, is_gone: bool) -> None:
+    watch = masker()
+    end = watch.cover(0, 0) + 10
+    hear(watch, end)
+    watch.release(end)
+    onset = watch.cover(end, gap)
+    heard = hear(watch, 600, frame=end)
+    assert onset == end + gap
+    if is_gone:
+        assert not heard[LEAD : gap - LEAD].any()
+        assert_array_equal(heard[gap - LEAD + RAMP :], 1)
+    else:
+        assert_array_equal(heard, 1)
+
+
+# The mixer.
 
 RATE = 8000.0
 MASKED = MaskingTable(channels=(3, 4), rms=0.1, ramp_s=0.02, lead_s=0.05, seed=3)
@@ -44,11 +261,9 @@ def make_mixer(
 
 def fill(mixer: Mixer, n: int, sizes: list[int], channels: int) -> np.ndarray:
     """What comes out in blocks of the given sizes, over and over; each block comes with rubbish in it."""
-    out, place, number = np.full((n, channels), 9.0, dtype=np.float32), 0, 0
-    while place < n:
-        size = sizes[number % len(sizes)]
-        mixer.fill(out[place : place + size])
-        place, number = place + size, number + 1
+    out = np.full((n, channels), 9.0, dtype=np.float32)
+    for block in cut(out, sizes):
+        mixer.fill(block)
     return out
 
 

@@ -4,15 +4,29 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any
+from time import perf_counter, sleep
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 from scipy import signal, special
 
-from feel321.study.actuator.device import SimulatedCoil, discretise
+from feel321.stimuli.wav import read_wav
+from feel321.study.actuator.device import BLOCK_FRAMES, SimulatedCoil, discretise
+from feel321.study.actuator.output import open_output
 from feel321.study.actuator.response import Response, Sweep, make_inverse, make_sweep, measure_sweep
-from feel321.study.actuator.rig import CoilTable
+from feel321.study.actuator.rig import (
+    CoilTable,
+    DeviceTable,
+    LimitsTable,
+    Rig,
+    SensorTable,
+    SimulationTable,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
 
 RATE_HZ = 8000.0
 SWEEP = Sweep(rate_hz=RATE_HZ)
@@ -160,3 +174,33 @@ def test_nothing_is_corrected_where_coherence_is_poor_or_outside_the_band() -> N
 def test_bad_input_is_refused(call: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         call()
+
+
+def test_a_playback_comes_back_through_coils_and_sensor(tmp_path: Path) -> None:
+    """To the sample: what the sensor of the simulated device measures is what its coils make of what was sent."""
+    table = alter(
+        REAL, name="right coil", direction=(0, 3, 4), latency=3, noise_m_s2=0.0, saturation=None
+    )
+    rig = Rig(
+        device=DeviceTable(name="simulated", latency_s=0.1),
+        limits=LimitsTable(peak_m_s2=100.0, rms_m_s2=60.0, duration_s=30.0),
+        sensor=SensorTable(channels=(1, 2, 3), full_scale_m_s2=200.0),
+        simulation=SimulationTable(speed=10.0, latency=40, noise_m_s2=0.0, coils=(table,)),
+    )
+    sound = np.zeros((4000, 2), dtype=np.float32)
+    sound[:, 1] = np.random.default_rng(1).uniform(-0.5, 0.5, 4000)
+    own = {"rate_hz": RATE_HZ, "folder": tmp_path, "clock": perf_counter}
+    with open_output(rig, {"noise": sound}, **own) as output:
+        output.start("noise", gap_s=0.05)
+        while output.is_playing:
+            sleep(0.001)
+        playback = output.collect()
+    assert (playback.completed, playback.error, playback.underruns) == (True, "", 0)
+    measured, rate_hz = read_wav(tmp_path / f"{playback.measured['file_number']:04.0f}.wav")
+    assert_array_equal(measured, output.captured)
+    late = BLOCK_FRAMES + 40 + 3
+    moved = signal.lfilter(*discretise(table, rate_hz=RATE_HZ), sound[:, 1])
+    assert rate_hz == RATE_HZ
+    expected = np.outer([0, 0.6, 0.8], 10 * moved)
+    np.testing.assert_allclose(measured[:, late : late + 4000], expected, atol=1e-4)
+    assert not measured[:, :late].any()

@@ -149,6 +149,10 @@ CHANGES: dict[str, tuple[Callable[[StudyFolder], object], list[str]]] = {
         ["{sim001}/session-02.jsonl: there is no such journal"],
     ),
     "a manifest": (change_manifest, ["{study}/stimuli: manifest.csv and manifest.json differ"]),
+    "a manifest in UTF-16": (
+        lambda s: s.manifest.write_text("a", encoding="utf-16"),
+        ["{study}/stimuli/manifest.csv, line 1: the text is in UTF-16"],
+    ),
     "no manifest": (
         lambda s: (s.stimuli / "manifest.json").unlink(),
         ["{study}/stimuli/manifest.json: "],

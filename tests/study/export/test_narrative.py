@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from feel321.study.analyze import analyze_study
-from feel321.study.export.narrative import count_flow, write_methods
+from feel321.study.export.dataset import count_flow, write_methods
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan
 from tests.study.export.conftest import PLANTED

@@ -1,77 +1,162 @@
-"""Verbs about recordings and reducers: reduce, match, tradeoff."""
+"""Verbs that need no study: `new` and `demo` make one; `reduce`, `match` and `tradeoff` work on recordings."""
+
+from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from shlex import quote
+from typing import TYPE_CHECKING, Any
 
-from cyclopts import Parameter
-
-from feel321.doors import follow
-from feel321.study.commands import shared
-from feel321.study.commands.shared import (
-    ALONE,
-    AS_IT_SAYS,
-    Crew,
-    File,
-    Json,
-    Number,
-    Out,
-    Reading,
-    Seed,
-    Several,
-    about,
+from feel321 import intake
+from feel321.doors import as_path, follow, name_of
+from feel321.study.folder import (
+    Outcome,
+    StudyFolder,
+    UsageError,
+    create_study,
+    read_template,
+    require_study,
 )
-from feel321.study.folder import StudyFolder, require_study
+from feel321.study.options import AS_IT_SAYS
+from feel321.study.study import Study, hire
+from feel321.study.terminal import cap, dump_json, echo, lay_facts, wants_bar, warn
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+    from typing import TypeVar
+
     from feel321.stimuli.condition import Conditioning
     from feel321.stimuli.recording import Recording
+    from feel321.study import options
     from feel321.types import Samples
+
+    Chosen = TypeVar("Chosen")
+
+DEMO_PARTICIPANTS = 16
 
 RATE_TOLERANCE_HZ = 1.0
 """A WAV header holds whole Hz only; a recording's true rate may lie between."""
 
-Chosen = TypeVar("Chosen")
-OWN = "(a wrong name lists all), or your own: methods/my321.py:my321"
-OWN_METRIC = OWN.replace("my321", "snr")
-Raw = Annotated[bool, Parameter(help="As measured: no offset removed, all frequencies kept.")]
 
-
-def reduce(  # noqa: PLR0913 - one per option
-    recording: File,
+def new(
+    folder: options.Folder | None = None,
     /,
     *,
-    reducer: Annotated[str, about(f"The 321 transform {OWN}", metavar="NAME")],
-    out: Annotated[File, about("A .wav file; a JSON file goes beside it.", name=["--out", "-o"])],
-    source: Reading = AS_IT_SAYS,
-    raw: Raw = False,
-    force: Annotated[bool, about("Replace files that exist.")] = False,
-    as_json: Json = False,
+    study: options.Ready = None,
+    methods: bool = False,
+    all_settings: bool = False,
 ) -> None:
+    """Begin a study: a commented study.toml, ready to use.
+
+    Example: feel321 new my-study
+             feel321 new my-study --study park2019
+             feel321 new --all-settings
+
+    Parameters
+    ----------
+    folder : str or path, optional
+        The folder of the study.
+    study : str, optional
+        A ready study.
+    methods : bool
+        Also examples of your own methods, in methods/.
+    all_settings : bool
+        Only print every setting.
+    """
+    if all_settings:
+        from feel321.study.all_settings import FILES, write_list
+
+        echo("\n".join(map(write_list, FILES)).rstrip("\n"))
+    elif folder is None:
+        raise UsageError("name the folder of the new study")
+    elif study and methods:
+        raise UsageError("--methods adds to a study of your own; leave out --study")
+    else:
+        made = Study.create(folder, like=study, methods=methods).folder
+        echo(f"{made.settings}: edit it, then: feel321 check {quote(str(folder))}")
+
+
+def demo(*, out: options.Target = Path("demo-study")) -> None:
+    """Run a whole study with simulated participants.
+
+    Example: feel321 demo --out demo-study
+
+    Parameters
+    ----------
+    out : str or path
+        Folder of the study.
+    """
+    from feel321.study.observer.model import NUMBERED
+
+    folder = StudyFolder(as_path(out))
+    if not folder.path.exists() or not any(folder.path.iterdir()):
+        create_study(folder.path)
+    # What is anything but the demonstration is left alone.
+    people = [entry.name for entry in folder.participants if not NUMBERED.fullmatch(entry.name)]
+    refusal = ""
+    if not folder.settings.is_file():
+        refusal = f"{folder.path}: holds files that demo did not write"
+    elif intake.read_small(folder.settings) != read_template():
+        refusal = f"{folder.settings}: edited, or written by another version of feel321"
+    elif people:
+        refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"
+    if refusal:
+        raise FileExistsError(f"{refusal}; name another folder with --out")
+    study = Study(folder, wants_bar(), warn=warn)
+    stimuli = study.build()
+    echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
+    rows = len(study.simulate(DEMO_PARTICIPANTS))
+    echo(f"{folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
+    study.analyze()
+    echo(folder.report / "index.html")
+
+
+def reduce(
+    recording: options.File,
+    /,
+    *,
+    reducer: options.Reducer,
+    out: options.Target,
+    source: options.Reading = AS_IT_SAYS,
+    raw: bool = False,
+    force: bool = False,
+) -> Outcome:
     """Reduce a recording to one axis.
 
     The recording is conditioned as for a study: offset removed, 20 to 1000 Hz. The result is a float32 WAV file in
     m/s^2 with a JSON file that says how it was made.
 
     Example: feel321 reduce oak.csv --reducer dft321 -o oak-dft321.wav
+
+    Parameters
+    ----------
+    recording : str or path
+        The recording.
+    reducer : str
+        The 321 transform (a wrong name lists all), or your own: methods/my321.py:my321
+    out : str or path
+        A .wav file; a JSON file goes beside it.
+    source : Reading
+        How the recording is read.
+    raw : bool
+        As measured: no offset removed, all frequencies kept.
+    force : bool
+        Replace files that exist.
     """
     from feel321 import __version__
-    from feel321.doors import name_of
     from feel321.files import write_text
     from feel321.stimuli.condition import Conditioning
     from feel321.stimuli.wav import write_wav
     from feel321.study.settings.read import open_reducer
 
-    reduce_it = _choose(open_reducer, reducer)
-    if out.suffix.lower() != ".wav":
-        shared.refuse_use(f"--out must end in .wav, got {str(out)!r}; give it that ending")
-    read, sidecar = source.read(recording), out.with_suffix(".json")
-    _check_output(recording, out, sidecar, force=force)
-    steps = None if raw else Conditioning()
-    conditioned, said = _condition(read, steps)
+    reduce_it, path, target = _choose(open_reducer, reducer), as_path(recording), as_path(out)
+    if target.suffix.lower() != ".wav":
+        raise UsageError(f"--out must end in .wav, got {str(target)!r}; give it that ending")
+    read, sidecar = _read(source, path), target.with_suffix(".json")
+    _check_output(path, target, sidecar, force=force)
+    conditioned, said = _condition(read, None if raw else Conditioning())
     method = getattr(reduce_it, "method", None)
     try:
         reduced = reduce_it(conditioned.acceleration, conditioned.rate_hz)
@@ -88,48 +173,70 @@ def reduce(  # noqa: PLR0913 - one per option
         **said,
         **_match(conditioned, reduced),
     }
-    write_wav(out, reduced, round(read.rate_hz))
-    write_text(sidecar, shared.dump_json(facts) + "\n")
+    write_wav(target, reduced, round(read.rate_hz))
+    write_text(sidecar, dump_json(facts) + "\n")
     done = f"{read.name} through {name_of(reducer)}, {read.n_samples} samples, m/s^2"
-    shared.print_facts(facts, [f"{out}: {done}", *shared.lay_facts(facts)], as_json=as_json)
+    return Outcome(facts, [f"{target}: {done}", *lay_facts(facts)])
 
 
 def match(
-    recording: File,
-    reduced: Annotated[File, Parameter(name="REDUCED.wav")],
+    recording: options.File,
+    reduced: options.Reduced,
     /,
     *,
-    source: Reading = AS_IT_SAYS,
-    metric: Annotated[Several, about(f"Also this metric {OWN_METRIC}; repeatable.")] = (),
-    raw: Raw = False,
-    as_json: Json = False,
-) -> None:
+    source: options.Reading = AS_IT_SAYS,
+    metric: options.Metrics = (),
+    raw: bool = False,
+) -> Outcome:
     """Match a reduced WAV file, in m/s^2, against its recording.
 
     The recording is conditioned as the JSON file beside the WAV says; without one, as for a study: offset removed, 20
     to 1000 Hz. The exit code is 1 if there is nothing to match; --json then holds null and the reason.
 
     Example: feel321 match oak.csv oak-dft321.wav --json
+
+    Parameters
+    ----------
+    recording : str or path
+        The recording.
+    reduced : str or path
+        The WAV file.
+    source : Reading
+        How the recording is read.
+    metric : sequence of str
+        Also this metric (a wrong name lists all), or your own: methods/snr.py:snr; repeatable.
+    raw : bool
+        As measured: no offset removed, all frequencies kept.
     """
-    from feel321.doors import name_of
     from feel321.stimuli.wav import read_wav
     from feel321.study.settings.read import open_metric
 
     further = {name_of(name): _choose(open_metric, name) for name in metric}
-    read = source.read(recording)
-    if not reduced.exists():
-        raise FileNotFoundError(f"{reduced}: there is no such file; check the name")
-    samples, rate_hz = read_wav(reduced)
-    _check_pair(read, samples, rate_hz=rate_hz, name=reduced.name)
-    steps, origin = _find_steps(read, reduced.with_suffix(".json"), raw=raw)
+    read, path = _read(source, as_path(recording)), as_path(reduced)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: there is no such file; check the name")
+    samples, rate_hz = read_wav(path)
+    _check_pair(read, samples, rate_hz=rate_hz, name=path.name)
+    steps, origin = _find_steps(read, path.with_suffix(".json"), raw=raw)
     ready, said = _condition(read, steps)
     facts = {**said, "conditioning_from": origin, **_match(ready, samples)}
     for name, measure in further.items():
         facts[name] = measure(ready.acceleration, samples, ready.rate_hz)
-    shared.print_facts(facts, shared.lay_facts(facts), as_json=as_json)
-    if facts["reasons"]:
-        reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
-        raise ValueError(f"{read.name}: {reasons}")
+    reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
+    faults = [f"{read.name}: {reasons}"] if reasons else []
+    return Outcome(facts, [*lay_facts(facts)], faults=faults)
+
+
+def _read(source: options.Reading, path: Path) -> Recording:
+    """Read a recording, and print what was noticed in it."""
+    recording = source.read(path)
+    _report_warnings([recording])
+    return recording
+
+
+def _report_warnings(recordings: Iterable[Recording]) -> None:
+    for line in cap([f"{one.name}: {text}" for one in recordings for text in one.warnings]):
+        warn(line)
 
 
 def _choose(find: Callable[[str, Path], Chosen], name: str) -> Chosen:
@@ -137,7 +244,7 @@ def _choose(find: Callable[[str, Path], Chosen], name: str) -> Chosen:
     try:
         return find(name, Path())
     except ValueError as error:
-        shared.refuse_use(str(error))
+        raise UsageError(str(error)) from None
 
 
 def _check_output(source: Path, *targets: Path, force: bool) -> None:
@@ -146,7 +253,7 @@ def _check_output(source: Path, *targets: Path, force: bool) -> None:
     taken = [target for target in targets if target.exists()]
     for target in taken:
         if any(target.samefile(path) for path in own):
-            shared.refuse_use(f"--out: {target} belongs to the recording; name another file")
+            raise UsageError(f"--out: {target} belongs to the recording; name another file")
     if taken and not force:
         names = ", ".join(map(str, taken))
         raise FileExistsError(f"{names}: already exists; name another file or add --force")
@@ -155,8 +262,8 @@ def _check_output(source: Path, *targets: Path, force: bool) -> None:
 
 
 def _condition(
-    recording: "Recording", steps: "Conditioning | None"
-) -> "tuple[Recording, dict[str, Any]]":
+    recording: Recording, steps: Conditioning | None
+) -> tuple[Recording, dict[str, Any]]:
     """Condition a recording; also returns what is said of it."""
     from feel321.stimuli.condition import condition, list_steps
 
@@ -171,8 +278,8 @@ def _condition(
 
 
 def _find_steps(
-    recording: "Recording", sidecar: Path, *, raw: bool
-) -> "tuple[Conditioning | None, str]":
+    recording: Recording, sidecar: Path, *, raw: bool
+) -> tuple[Conditioning | None, str]:
     """Find out how the recording was conditioned before it was reduced, and where that is known from."""
     from feel321.stimuli.condition import Conditioning
 
@@ -185,14 +292,12 @@ def _find_steps(
         assumed = f"assumed: no {sidecar.name} of reduce beside it"
         return (None, "--raw") if raw else (Conditioning(), assumed)
     if facts["recording_sha256"] != recording.sha256:
-        shared.warn(
-            f"{sidecar.name}: was written for another recording or file than {recording.name}"
-        )
+        warn(f"{sidecar.name}: was written for another recording or file than {recording.name}")
     origin, steps = f"as {sidecar.name} says", facts.get("conditioning")
     if steps is None:  # it was reduced with --raw
         return None, origin
     if raw:
-        shared.refuse_use(
+        raise UsageError(
             f"--raw: {sidecar.name} says that its WAV was reduced from the conditioned recording; leave out --raw, or "
             "reduce the recording again with --raw"
         )
@@ -203,7 +308,7 @@ def _find_steps(
         raise ValueError(f"{sidecar.name}: invalid conditioning ({error}); {remedy}") from None
 
 
-def _check_pair(recording: "Recording", samples: "Samples", *, rate_hz: int, name: str) -> None:
+def _check_pair(recording: Recording, samples: Samples, *, rate_hz: int, name: str) -> None:
     fault = ""
     if samples.ndim != 1:
         fault = f"a reduced signal has 1 channel, got {len(samples)}; reduce it first"
@@ -218,7 +323,7 @@ def _check_pair(recording: "Recording", samples: "Samples", *, rate_hz: int, nam
         raise ValueError(f"{name}: {fault}")
 
 
-def _match(recording: "Recording", samples: "Samples") -> dict[str, Any]:
+def _match(recording: Recording, samples: Samples) -> dict[str, Any]:
     from feel321.stimuli.match import spectral_match_details, temporal_match_details
 
     conditioned, rate_hz = recording.acceleration, recording.rate_hz
@@ -241,24 +346,49 @@ def _match(recording: "Recording", samples: "Samples") -> dict[str, Any]:
 
 
 def tradeoff(  # noqa: PLR0913 - one per option
-    *places: Annotated[File, Parameter(name="[STUDY | RECORDING...]")],
-    scenes: Annotated[bool, about("Also the bundled scenes.")] = False,
-    thorough: Annotated[bool, about("Whole recordings, 72 mountings, hard scenes.")] = False,
-    online: Annotated[bool, about("The reducer runs while the vibration is made.")] = False,
-    latency_ms: Annotated[Number | None, about("Longest delay, with device. [default: 45]")] = None,
-    mounting: Annotated[Literal["any", "recorded"], about("Mountings that advice is for.")] = "any",
-    tolerance_db: Annotated[Number | None, about("Near enough to the best. [default: 1]")] = None,
-    out: Out = None,
-    seed: Seed = None,
-    crew: Crew = ALONE,
-    as_json: Json = False,
-) -> None:
+    *places: options.Places,
+    scenes: bool = False,
+    thorough: bool = False,
+    online: bool = False,
+    latency_ms: options.Number | None = None,
+    mounting: options.Mounting = "any",
+    tolerance_db: options.Number | None = None,
+    out: options.Out = None,
+    seed: options.WholeSeed = None,
+    workers: options.Crew = 1,
+    scheduler: options.Scheduler = "",
+) -> Outcome:
     """Compare reducers: speed, accuracy, where they fail, and the simplest that suffices.
 
     Writes one page into STUDY/tradeoff. Times are measured on this machine: leave it idle.
 
     Example: feel321 tradeoff my-study
              feel321 tradeoff oak.csv pine.csv --online --latency-ms 45
+
+    Parameters
+    ----------
+    *places : str or path
+        A study, recordings, or both.
+    scenes : bool
+        Also the bundled scenes.
+    thorough : bool
+        Whole recordings, 72 mountings, hard scenes.
+    online : bool
+        The reducer runs while the vibration is made.
+    latency_ms : float, optional
+        Longest delay, with device. [default: 45]
+    mounting : str
+        Mountings that advice is for.
+    tolerance_db : float, optional
+        Near enough to the best. [default: 1]
+    out : str or path, optional
+        Folder of the results.
+    seed : int, optional
+        Random seed; the study's by default.
+    workers : int or Workers
+        Number of processes.
+    scheduler : str
+        A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT.
     """
     from feel321.analysis.report.folder import check_target
     from feel321.analysis.tradeoff import judge
@@ -270,21 +400,21 @@ def tradeoff(  # noqa: PLR0913 - one per option
     from feel321.study.session.journal import utc_now
     from feel321.study.settings.read import list_for_tradeoff, read_settings
 
-    folder, extra = _find_places(places, scenes=scenes)
+    folder, extra = _find_places([as_path(one) for one in places], scenes=scenes)
     try:
         tolerance = judge.TOLERANCE_DB if tolerance_db is None else tolerance_db
         context = judge.Context(online, latency_ms, mounting, tolerance)
     except ValueError as error:
         text = f"--{error}".replace("set online=True", "add --online")
         text = text.replace("latency_ms", "latency-ms").replace("tolerance_db", "tolerance-db")
-        shared.refuse_use(text)
-    output = out or (folder or Path()) / "tradeoff"
+        raise UsageError(text) from None
+    output = (folder or Path()) / "tradeoff" if out is None else as_path(out)
     check_target(output)
     # Recordings that were named without a study belong to none, whatever the current folder is.
     study = StudyFolder(folder or output)
-    with follow(shared.wants_bar(), "tradeoff") as progress:
+    with follow(wants_bar(), "tradeoff") as progress:
         recordings = gather_recordings(study.path, scenes=scenes, extra=extra)
-        shared.report_warnings(recordings)
+        _report_warnings(recordings)
         settings = read_settings(study.settings) if study.settings.is_file() else None
         reducers, metrics = list_for_tradeoff(settings, study.path) if settings else ({}, {})
         windows = [one for one in judge.WINDOWS_MS if one <= context.room_ms]
@@ -295,16 +425,14 @@ def tradeoff(  # noqa: PLR0913 - one per option
             windows_ms=windows if context.online else (),
             thorough=thorough,
             rng=(settings.study.seed if settings else 0) if seed is None else seed,
-            workers=crew.employ(),
+            workers=hire(workers, scheduler),
             progress=progress,
         )
         margin = settings.analysis.margin if settings else None
         result = advise_tradeoff(frame, context, ratings=find_ratings(study), margin=margin)
     with recording_output(study, "tradeoff", output, now=utc_now):
         result.write(output)
-    if not as_json:
-        shared.echo(result.summary())
-    shared.print_results(output, as_json=as_json)
+    return Outcome(output / "results.json", [result.summary(), str(output / "index.html")])
 
 
 def _find_places(places: Sequence[Path], *, scenes: bool) -> tuple[Path | None, tuple[Path, ...]]:
@@ -314,7 +442,7 @@ def _find_places(places: Sequence[Path], *, scenes: bool) -> tuple[Path | None, 
     studies = [one for one in places if (one / "study.toml").is_file()]
     extra = tuple(one for one in places if one not in studies)
     if len(studies) > 1:
-        shared.refuse_use(f"name one study, got {', '.join(map(str, studies))}")
+        raise UsageError(f"name one study, got {', '.join(map(str, studies))}")
     for one in extra:
         if one.is_dir():
             raise IsADirectoryError(

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import combinations
+from types import MappingProxyType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -99,7 +100,8 @@ def correlate(  # noqa: PLR0913 - which rows, and how
     (0.99, 4)
     """
     items = make_items(choose_arms(ratings, scale, level), (metric,))
-    return correlate_items(items, (metric,), method, draws=draws, rng=rng).associate(metric)
+    (found,) = correlate_items(items, (metric,), method, draws=draws, rng=rng)
+    return found.associate(metric)
 
 
 def compare_metrics(  # noqa: PLR0913 - as `correlate`
@@ -156,20 +158,14 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
         raise ValueError(f"second must be another metric than the first, got {second!r} twice")
     names = (first, second)
     items = make_items(choose_arms(ratings, scale, level), names)
-    return correlate_items(items, names, method, draws=draws, rng=rng).compare(*names)
+    (found,) = correlate_items(items, names, method, draws=draws, rng=rng)
+    return found.compare(*names)
 
 
 def correlate_items(
-    items: Items, metrics: tuple[str, ...], method: str, *, draws: int, rng: Rng
-) -> Correlated:
-    """Correlate with all metrics of the items, and with all of them in the same draws."""
-    return correlate_methods(items, metrics, [method], draws=draws, rng=rng)[0]
-
-
-def correlate_methods(
-    items: Items, metrics: tuple[str, ...], methods: Iterable[str], *, draws: int, rng: Rng
+    items: Items, metrics: tuple[str, ...], *methods: str, draws: int, rng: Rng
 ) -> list[Correlated]:
-    """Correlate by several methods, in the same draws."""
+    """Correlate with all metrics of the items, by one method or several, in the same draws."""
     names = [check_name(method, resampling.METHODS, "method") for method in methods]
     check_draws(draws)
     found = resampling.draw_methods(items, names, draws=draws, rng=as_rng(rng))
@@ -321,30 +317,24 @@ def refuse_untested(table: Table) -> None:
         )
 
 
-def find_sign(info: Mapping[str, MetricInfo] | None, metric: str) -> float:
-    """Find the sign that makes higher values of a metric better: -1 where lower ones are."""
-    worse = info is not None and metric in info and info[metric].higher == "worse"
-    return -1.0 if worse else 1.0
-
-
 def make_panel(
     part: DataFrame,
     metrics: tuple[str, ...],
     *,
     draws: int,
     rng: np.random.Generator,
-    info: Mapping[str, MetricInfo] | None = None,
+    info: Mapping[str, MetricInfo] = MappingProxyType({}),
 ) -> Panel:
     """Correlate the ratings of one scale and one level with every metric, by every method."""
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
     seed, items = int(rng.integers(2**63)), make_items(part, metrics)
-    of = correlate_methods(items, metrics, resampling.METHODS, draws=draws, rng=seed)
-    signs = np.array([find_sign(info, name) for name in metrics])
+    of = correlate_items(items, metrics, *resampling.METHODS, draws=draws, rng=seed)
+    worse = [name in info and info[name].higher == "worse" for name in metrics]
     compared = of
-    if (signs < 0).any():
-        turned = replace(items, metrics=items.metrics * signs[:, None])
-        compared = correlate_methods(turned, metrics, resampling.METHODS, draws=draws, rng=seed)
+    if any(worse):
+        turned = replace(items, metrics=items.metrics * np.where(worse, -1.0, 1.0)[:, None])
+        compared = correlate_items(turned, metrics, *resampling.METHODS, draws=draws, rng=seed)
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     return Panel(
         scale=str(part["scale"].iloc[0]),

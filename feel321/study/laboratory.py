@@ -1,0 +1,286 @@
+"""The verbs of a study that need its people or its rig: sessions, who takes part, devices."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import TYPE_CHECKING
+
+from feel321.doors import as_path, as_seed, follow
+from feel321.study.folder import OpenStudy, Outcome, UsageError
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from feel321.study import options
+    from feel321.study.session.ports import Place
+    from feel321.study.status import Status
+
+
+@dataclass(frozen=True, slots=True, repr=False)
+class Laboratory(OpenStudy):
+    """The verbs of a study that need its people or its rig; see `Study`."""
+
+    def calibrate(
+        self, *, device: options.Name = None, manual: options.Gains = (), redesign: bool = False
+    ) -> Outcome:
+        """Measure the coils of the rig and make filters for them.
+
+        Plays sweeps on one coil after another, recorded by the sensor of rig.toml; proposes the band and the gain of
+        each filter, says what that costs in level, and asks; verifies the filters by playing through them, and stores a
+        certificate, of which run uses the newest that is valid. Ctrl-C stops; coils that are done are kept. The exit
+        code is 1 if the limits of [calibration] in rig.toml are not met; run then does not use the certificate.
+
+        Example: feel321 calibrate my-study
+
+        Parameters
+        ----------
+        device : str, optional
+            Device instead of the rig's: its name, or a unique part of it.
+        manual : sequence of str
+            Type a gain instead of measuring, in m/s² at full scale; once for each.
+        redesign : bool
+            From the stored sweeps, without playing.
+        """
+        from feel321.study.calibrating import calibrate_rig
+
+        return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
+
+    def doctor(self, *, device: options.Name = None, seconds: options.Seconds = 5.0) -> Outcome:
+        """Test the rig: list devices, measure latency and jitter, try each coil.
+
+        Plays quiet pulses on every actuator, through the same stream as in a session, and, with a sensor, a probe on
+        each coil: by name, what is dead, inverted, swapped, loose or too strong against the certificate or rig.toml, a
+        wrong rate, a missing channel, hum; the exit code is then 1. Without a study, --device names what to play on.
+
+        Example: feel321 doctor my-study --seconds 10
+
+        Parameters
+        ----------
+        device : str, optional
+            Device instead of the rig's: its name, or a unique part of it.
+        seconds : float
+            Duration of the pulse train, in s.
+        """
+        from feel321.study.calibrating import examine_study_rig
+
+        return examine_study_rig(self, device=device, seconds=seconds)
+
+    def run(  # noqa: PLR0913 - one parameter per option
+        self,
+        *,
+        participant: options.NewCode,
+        windowed: bool = False,
+        screen: options.Screen = 0,
+        device: options.Name = None,
+        accept_rig: bool = False,
+        lsl: bool = False,
+        rehearse: bool = False,
+        simulate_participant: bool = False,
+        seed: options.WholeSeed = None,
+    ) -> Place:
+        """Run a session with a participant, or resume it.
+
+        Example: feel321 run my-study --participant p07
+
+        Parameters
+        ----------
+        participant : str
+            The participant's code.
+        windowed : bool
+            A window instead of the whole screen.
+        screen : int
+            The participant's monitor; 0: the main one.
+        device : str, optional
+            Instead of the rig's; 'file' writes WAV files.
+        accept_rig : bool
+            Resume on a changed rig or certificate; noted.
+        lsl : bool
+            Send onsets to the lab streaming layer.
+        rehearse : bool
+            Stored in rehearsals/ and never analysed.
+        simulate_participant : bool
+            A simulated participant presses keys.
+        seed : int, optional
+            Of --simulate-participant; the study's by default.
+        """
+        if seed is not None and not simulate_participant:
+            raise UsageError("--seed needs --simulate-participant; people have no seed")
+        from feel321.study.lab import SessionLog, run_participant
+        from feel321.study.sessions import read_room
+
+        room = read_room(self.choose(rehearse), now=self.now)
+        room = replace(room, windowed=windowed, screen=screen, device=device)
+        room = replace(room, accept_rig=accept_rig, lsl=lsl)
+        with SessionLog(participant, room.study.rig) as log:
+            outcome = run_participant(
+                room,
+                participant,
+                simulated=simulate_participant,
+                seed=seed,
+                on_step=log.note,
+                warn=self.say,
+            )
+            log.end(outcome)
+        return outcome
+
+    def simulate(self, participants: options.People = 16, rng: options.Seed = None) -> DataFrame:
+        """Run sessions with simulated participants, or resume them.
+
+        Example: feel321 simulate my-study --participants 16 --seed 1
+
+        Parameters
+        ----------
+        participants : int
+            How many take part.
+        rng : int or Generator, optional
+            Random seed; the study's by default.
+        """
+        import pandas as pd
+
+        from feel321.study.simulation import simulate_study
+
+        if participants < 1:
+            raise ValueError(f"participants must be 1 or more, got {participants}")
+        seed = None if rng is None else as_seed(rng)
+        with follow(self.progress, "simulate") as step:
+            simulate_study(
+                self.folder, participants=participants, seed=seed, now=self.now, progress=step,
+                warn=self.say,
+            )  # fmt: skip
+        return pd.read_csv(self.folder.ratings)
+
+    def status(
+        self, *, notes: bool = False, watch: options.Page | None = None, rehearsals: bool = False
+    ) -> Status:
+        """Show the progress of every participant. Blind.
+
+        Example: feel321 status my-study
+                 feel321 status my-study --watch sessions.html
+
+        Parameters
+        ----------
+        notes : bool
+            Also the experimenter's notes.
+        watch : str or path, optional
+            Keep a blind page until Ctrl-C.
+        rehearsals : bool
+            Rehearsals instead of sessions.
+        """
+        from feel321.study.status import read_status, watch_study
+
+        folder = self.choose(rehearsals)
+        if watch is not None:
+            if notes:
+                raise UsageError("--watch does not go with --notes; leave one out")
+            from feel321.study.persons.withdrawal import recording_output
+
+            page = as_path(watch)
+            with recording_output(folder, "status", page, now=self.now):
+                watch_study(folder, page, now=self.now)
+        with follow(self.progress, "status") as step:
+            return replace(read_status(folder, progress=step), shows_notes=notes)
+
+    def note(
+        self, text: options.Text, *, participant: options.Code, rehearsals: bool = False
+    ) -> Outcome:
+        """Write an experimenter's note into a participant's journal.
+
+        One line, not while a session runs. It is never edited, and removed only by withdraw: write no names. Shown by
+        status --notes.
+
+        Example: feel321 note my-study --participant p07 "left coil rattled in block 2"
+
+        Parameters
+        ----------
+        text : str
+            The note.
+        participant : str
+            The participant's code.
+        rehearsals : bool
+            Rehearsals instead of sessions.
+        """
+        from feel321.study.persons.withdrawal import take_note
+
+        notice = take_note(self.choose(rehearsals), participant, text, now=self.now)
+        if notice:
+            self.say(notice)
+        facts = {"participant": participant, "text": text, "warning": notice}
+        return Outcome(facts, [f"{participant}: noted"])
+
+    def collect(self, *sources: options.Sources) -> Outcome:
+        """Collect the sessions of other stations into one study.
+
+        FROM are study folders, mounted or copied; they are only read. A longer journal takes the place of one that it
+        continues; sessions that conflict with the study are refused by name. A participant who withdrew at one station
+        is withdrawn here.
+
+        Example: feel321 collect /mnt/lab2/my-study /media/usb/my-study --into my-study
+
+        Parameters
+        ----------
+        *sources : str or path
+            The study folders of other stations.
+        """
+        from feel321.study.collect import collect_sessions
+
+        paths = [as_path(one) for one in sources]
+        with follow(self.progress, "collect") as step:
+            found = collect_sessions(self.folder, paths, now=self.now, progress=step)
+        size, who = f"{found.size / 1e6:.1f} MB", ", ".join(found.participants)
+        copied = f"{found.files} files ({size}) of {who}" if found.files else "nothing to copy"
+        refused = [f"refused: {line}" for line in found.refused]
+        lines = [f"{self.folder.path}: {copied}", *refused, *found.notes]
+        return Outcome(asdict(found), lines, failed=bool(refused))
+
+    def withdraw(
+        self,
+        *,
+        participant: options.Code,
+        reason: str = "",
+        keep_data: bool = False,
+        is_sure: options.Yes = False,
+    ) -> Outcome:
+        """Remove the data of a participant for good, and free the design slot.
+
+        Data go from sessions, rehearsals, tables and results; outputs elsewhere are listed, to be removed by hand. The
+        code is not reused. --keep-data, for somebody who will not return: what was recorded stays, the next participant
+        gets the slot.
+
+        Example: feel321 withdraw my-study --participant p07 --yes
+                 feel321 withdraw my-study --participant p07 --keep-data
+
+        Parameters
+        ----------
+        participant : str
+            The participant's code.
+        reason : str
+            Kept with the code; write no name.
+        keep_data : bool
+            Only free the design slot.
+        is_sure : bool
+            Do not ask.
+        """
+        from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+        from feel321.study.terminal import ask, is_answerable
+
+        folder, facts = self.folder, {"participant": participant}
+        if keep_data:
+            number = release_participant(folder, participant, now=self.now)
+            line = f"{folder.path}: {participant} is released, number {number} is free"
+            return Outcome({**facts, "number": number, "removed": []}, [line])
+        if not is_sure:
+            if not is_answerable():
+                raise UsageError("no terminal to ask for confirmation; add --yes")
+            question = f"Remove all data of {participant} in {folder.path} for good? [y/N]: "
+            if ask(question) not in {"y", "yes"}:
+                return Outcome(facts, [f"{folder.path}: nothing was removed"], failed=True)
+        removed = withdraw_participant(
+            folder, participant, now=self.now, reason=reason, warn=self.say
+        )
+        has_tombstone = (folder.sessions / participant).exists()
+        kept = "; a tombstone keeps the code" if has_tombstone else ""
+        line = (
+            f"{folder.path}: removed {len(removed)} files of {participant}{kept}. "
+            "Copies that feel321 did not make must be removed by hand"
+        )
+        return Outcome({**facts, "removed": removed, "tombstone": has_tombstone}, [line])
