@@ -166,7 +166,7 @@ class Study(Laboratory):
         """Find how many participants, recordings and reducers a study needs.
 
         Simulates this very study: its stimuli, protocols, primary model and Holm's method. Writes a page, tables
-        and JSON into STUDY/power.
+        and JSON into STUDY/power. After Ctrl-C the same command continues.
 
         Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
 
@@ -222,6 +222,7 @@ class Study(Laboratory):
                 sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
+                keep=target / power.KEPT,
                 workers=hire(workers, scheduler),
                 progress=step,
             )
@@ -440,7 +441,7 @@ class Study(Laboratory):
 
     def recordings(self) -> list[Recording]:
         """Read the recordings that `study.toml` names."""
-        from feel321.study.settings.read import open_recordings
+        from feel321.study.settings.recordings import open_recordings
 
         return open_recordings(self.settings, self.folder.path)
 

@@ -104,7 +104,9 @@ def _list_ways(by_metric: Mapping[str, Sequence[Row]]) -> list[Row]:
             turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
             key = OPPOSITE if turned else way, name_scales(own, every)
             ways.setdefault(key, []).append(metric)
-    return [{"kind": way, "what": what, "metrics": own} for (way, what), own in ways.items()]
+    return [
+        {"kind": way, "what": what, "metrics": own, "few": []} for (way, what), own in ways.items()
+    ]
 
 
 def _group(cards: Sequence[Row], metrics: Sequence[str]) -> Iterator[Row]:
@@ -213,11 +215,10 @@ def compute_paper(
     }  # fmt: skip
     for one in answers:
         found.rows["paper_claims"] += _list_answer(one)
-    for row in tabulate_metrics(table, paper).to_dict("records"):
-        known = {name: value for name, value in row.items() if value == value}  # noqa: PLR0124 - is a number
-        if "paper" in known:
-            known["told"] = f"{row['shown']} ({row['table']}, {row['source']})"
-        found.add("paper_metrics", [known], n=1)
+    metrics = tabulate_metrics(table, paper)
+    if len(metrics):
+        told = metrics["shown"] + " (" + metrics["table"] + ", " + metrics["source"] + ")"
+        found.add("paper_metrics", metrics.assign(told=told), n=1)
     return found
 
 

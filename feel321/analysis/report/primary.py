@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pandas import DataFrame
@@ -29,8 +30,6 @@ if TYPE_CHECKING:
     from feel321.types import MetricInfo
 
 HIGHER, LOWER = "higher", "lower"
-STEPPED = "tenth tenth_low tenth_high"
-"""Names of a slope per 0.1 and of its ends, which pages show per step."""
 
 BLANK: Row = {
     "verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False, "hinges_on": [],
@@ -40,12 +39,11 @@ BLANK: Row = {
 
 
 class Analysis(NamedTuple):
-    """The model of a scale and level, what single units do to its slopes, and the steps and directions of metrics."""
+    """The model of a scale and level, what single units do to its slopes, and what metrics declare."""
 
     part: Part
     model: Primary
     influence: Influence
-    steps: Mapping[str, Step]
     info: Mapping[str, MetricInfo]
 
     @property
@@ -56,10 +54,15 @@ class Analysis(NamedTuple):
         reducers = {REDUCER: model.n_reducers} if model.n_reducers else {}
         return {"participant": model.n_participants, scene: model.n_sources} | reducers
 
-    def scale(self, row: Mapping[Any, Any], names: str = STEPPED, *, unit: float = TENTH) -> Row:
-        """Take an estimate of a metric, with its ends, to one per step."""
-        size = self.steps[str(row["metric"])].size / unit
-        return {end: float(one) * size for end, one in read_ends(row, names).items()}
+
+def per_step(slopes: DataFrame, steps: Mapping[str, Step]) -> DataFrame:
+    """Add to slopes per 0.1 of metrics, with their ends, the same per step, and the step."""
+    size = slopes["metric"].map({name: step.size for name, step in steps.items()})
+    value, low, high = (
+        slopes[name] * size / TENTH for name in ("tenth", "tenth_low", "tenth_high")
+    )
+    per = slopes["metric"].map({name: step.per for name, step in steps.items()})
+    return slopes.assign(value=value, low=low, high=high, size=size, per=per)
 
 
 def compute(table: Table, choices: Choices) -> Found:
@@ -68,12 +71,19 @@ def compute(table: Table, choices: Choices) -> Found:
     models, losses = _fit(found, table, choices)
     steps = parts.find_table_steps(table) if models else {}
     leads = {part.lead: model for part, model in models.items()}
-    slopes = tabulate_slopes(leads).to_dict("records") if models else []
+    slopes: list[Row] = []
+    if models:
+        tabulated = per_step(tabulate_slopes(leads), steps)
+        names = ["centred", "centred_low", "centred_high", "plain"]
+        tabulated[names] = tabulated[names].mul(tabulated["size"], axis=0)
+        slopes = tabulated.to_dict("records")
     told = []
     for part, model in models.items():
         others = [row["p"] for row in slopes if row["attribute"] != part.lead]
         influence = sensitivity.measure_influence(part.rows, table.metrics, model, others=others)
-        analysis = Analysis(part, model, influence, steps, table.info)
+        if not influence.table.empty:
+            influence = replace(influence, table=per_step(influence.table, steps))
+        analysis = Analysis(part, model, influence, table.info)
         rows = [row for row in slopes if row["attribute"] == part.lead]
         verdicts = [conclude_slope(analysis, row) for row in rows]
         found.verdicts += verdicts
@@ -205,30 +215,17 @@ def _add_rows(found: Found, analysis: Analysis, slopes: Sequence[Row]) -> None:
     found.add("models", [{**model, "fit": "singular" if model.fit.singular else "regular"}], **keys)
     found.add("spreads", model.fit.variances, **keys)
     found.add("slope_differences", model.differences, **keys)
-    for row in slopes:
-        metric = row["metric"]
-        own, step = keys | {"metric": metric}, analysis.steps[metric]
-        centred = analysis.scale(row, "centred centred_low centred_high", unit=1.0)
-        scaled = dict(
-            zip(("centred", "centred_low", "centred_high"), centred.values(), strict=True)
-        )
-        kept = {name: value for name, value in row.items() if name != "plain"}
-        if math.isfinite(row["plain"]):
-            scaled["plain"] = row["plain"] * step.size
-        about = {"size": step.size, "per": step.per}
-        found.add("slopes", [kept | scaled | analysis.scale(row) | about], **own)
-        if metric in model.between.index:
-            between = {**model.between.loc[metric], "metric": metric}
-            ends = analysis.scale(between, "estimate low high", unit=1.0)
-            found.add("slopes_between", [between | ends], **own)
-        if not influence.table.empty:
-            units = influence.table[influence.table["metric"] == metric]
-            moving = units.sort_values("moves", ascending=False, kind="stable")
-            for unit in moving.to_dict("records"):
-                verdict = str(unit["verdict"]).replace("_", " ")
-                found.add(
-                    "influence", [{**unit, **analysis.scale(unit), "verdict": verdict}], **own
-                )
+    found.add("slopes", slopes, **keys)
+    order = {row["metric"]: (place, row["size"]) for place, row in enumerate(slopes)}
+    between = model.between[model.between.index.isin(order)].reset_index()
+    size = between["metric"].map(lambda name: order[name][1])
+    ends = {name: between[name] * size for name in ("estimate", "low", "high")}
+    found.add("slopes_between", between.assign(**ends), **keys)
+    if not influence.table.empty:
+        units = influence.table.assign(verdict=influence.table["verdict"].str.replace("_", " "))
+        place = units["metric"].map(lambda name: order[name][0])
+        units = units.assign(place=place, stays=~units["moves"])
+        found.add("influence", units.sort_values(["place", "stays"], kind="stable"), **keys)
     found.add("exceptions", influence.exceptions.reset_index(), **keys)
 
 
@@ -241,14 +238,14 @@ def _describe_slope(analysis: Analysis, row: Row) -> Row:
     def describe(unit: Mapping[Any, Any]) -> Row:
         direction = HIGHER if unit["tenth"] > 0 else LOWER
         named = {"name": f"{unit['kind']} {unit['unit']}", "verdict": unit["verdict"]}
-        return named | {"direction": direction, "step": analysis.scale(unit)}
+        return named | {"direction": direction, "step": read_ends(unit)}
 
     metric, hinges = str(row["metric"]), _find_hinges(analysis, row)
     moves = analysis.influence.find_moves(metric).to_dict("records")
     moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
     return {
         "quartile": read_ends(row, "quartile_effect quartile_low quartile_high"), "p": row["p_holm"],
-        "step": analysis.scale(row), "per": analysis.steps[metric].per,
+        "step": read_ends(row), "per": row["per"],
         "hinges": list(map(describe, hinges)), "moves": [] if hinges else moved,
     }  # fmt: skip
 

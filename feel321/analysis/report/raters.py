@@ -13,6 +13,7 @@ from feel321.analysis.primary.model import adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, list_changes
 from feel321.analysis.report import section as parts
+from feel321.analysis.report.primary import per_step
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.screening import RULES, screen_raters
 from feel321.analysis.table.items import Part, recast_pairs, split_arms
@@ -80,11 +81,10 @@ def compute(table: Table, choices: Choices) -> Found:
         "unflagged": [row for row in changes if row["panel"] == ANY],
     }  # fmt: skip
     steps = parts.find_table_steps(table)
-    for row in slopes:
-        share = steps[row["metric"]].size / 0.1
-        scaled = {name: row[name] * share for name in ("tenth", "tenth_low", "tenth_high")}
-        told = {"panel": GROUPS[row["panel"]], "verdict": row["verdict"].replace("_", " ")}
-        found.add("slopes_without_hits", [row | scaled | told])
+    if slopes:
+        shown = per_step(pd.DataFrame(slopes), steps)
+        shown["verdict"] = shown["verdict"].str.replace("_", " ")
+        found.add("slopes_without_hits", shown.assign(panel=shown["panel"].map(GROUPS)))
     return found
 
 

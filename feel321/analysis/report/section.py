@@ -95,8 +95,8 @@ class Quantity(NamedTuple):
     """A quantity of a table: of what names in a record its row is made, and how a page shows it, if it has a heading.
 
     source: the names of value, low, high, p and note (a dash for none), and behind a bar the interval where it is
-    another than the table's; "?" before them where records may lack it; the quantity's own name if empty. kind: how it
-    is rounded; "note": the row's words are shown. p: heading of a further column for its probability.
+    another than the table's; "?" before them where records may lack the value; the quantity's own name if empty.
+    kind: how it is rounded; "note": the row's words are shown. p: heading of a further column for its probability.
     """
 
     name: str
@@ -129,7 +129,7 @@ class TableForm(NamedTuple):
                 names, _, interval = (quantity.source or quantity.name).partition(" | ")
                 pairs = zip((*ENDS, "note"), names.removeprefix("?").split(), strict=False)
                 ends = {end: name for end, name in pairs if name != "-"}
-                if names.startswith("?") and ends["value"] not in record:
+                if names.startswith("?") and not _is_known(record, ends["value"]):
                     continue
                 interval = interval or self.interval
                 row = {"interval": INTERVALS.get(interval, interval), **fixed, **own}
@@ -169,6 +169,10 @@ class TableForm(NamedTuple):
             "rows": body,
             "texts": texts,
         }
+
+
+def _is_known(record: Mapping[Any, Any], name: str) -> bool:
+    return name in record and record[name] == record[name]  # which NaN is not
 
 
 def _show_cell(row: Row | None, kind: str, part: str) -> str:

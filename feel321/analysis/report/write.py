@@ -17,11 +17,11 @@ from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer
 from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_files, write_folder
-from feel321.analysis.report.section import ENDS, FIXED, Found, Row, Section, TableForm, make_row
+from feel321.analysis.report.section import FIXED, Found, Row, Section, TableForm, make_row
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening import RULES
-from feel321.analysis.table.dictionary import DICTIONARY
+from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
@@ -428,43 +428,18 @@ def _write(table: Table, results: Results, *, found: Everything, target: Path) -
     )
 
 
-MEANINGS = {
-    "quantity": "what the number is",
-    "value": "the number",
-    "low": "lower end of the interval",
-    "high": "upper end of the interval",
-    "p": "probability, adjusted where the quantity says so",
-    "n": "how many judgements, stimuli or participants it rests on",
-    "interval": "kind of interval",
-    "note": "a word in the place of a number, or what is unusual",
-    "status": "confirmatory or exploratory",
-}
-"""Columns of every table -> what they hold."""
-DESCRIBED = {
-    "file": "file that the column is in",
-    "column": "name of the column",
-    "quantity": "in the column value: the quantity that is described",
-    "type": "number, integer or text",
-    "meaning": "what the column holds",
-}
-"""The dictionary's own columns."""
-
-
 def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
-    """Describe every column and every quantity of every table."""
+    """Describe every column of every table, and every quantity that its column ``value`` holds."""
     import pandas as pd
 
-    rows = [(DICTIONARY, column, "", "text", meaning) for column, meaning in DESCRIBED.items()]
-    forms = {form.name: form for section in sections for form in section.tables.values()}
-    kinds = dict.fromkeys(ENDS, "number") | {"n": "integer"}
+    described = make_dictionary({f"report/{name}.csv": frame for name, frame in frames.items()})
+    forms = [form for section in sections for form in section.tables.values()]
+    known = {(form.name, one.name): one.meaning for form in forms for one in form.quantities}
+    meaning = "in the column value: the quantity that is described"
+    rows = [{"file": DICTIONARY, "column": "quantity", "type": "text", "meaning": meaning}]
     for name, frame in frames.items():
-        form, file = forms.get(name, TableForm(name)), f"{name}.csv"
-        heads = {key: head.lstrip("?").lower() for key, head in form.keys.items()} | MEANINGS
-        known = {one.name: one.meaning for one in form.quantities}
-        for column in map(str, frame):
-            meaning = heads.get(column, column.replace("_", " "))
-            rows.append((file, column, "", kinds.get(column, "text"), meaning))
         for quantity in frame["quantity"].unique():
-            meaning = known.get(quantity) or quantity.replace("_", " ")
-            rows.append((file, "value", quantity, "number", meaning))
-    return pd.DataFrame(rows, columns=list(DESCRIBED))
+            meaning = known.get((name, quantity)) or quantity.replace("_", " ")
+            row = {"file": f"{name}.csv", "column": "value", "quantity": quantity, "type": "number"}
+            rows.append(row | {"meaning": meaning})
+    return pd.concat([described, pd.DataFrame(rows)], ignore_index=True).fillna("")
