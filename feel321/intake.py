@@ -41,6 +41,17 @@ def clip(text: str, most: int = 60) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
+def word_fault(error: ValueError) -> str:
+    """Word what is wrong with a file that does not fit its model: the first fault, where it is and what was got."""
+    from pydantic import ValidationError
+
+    if not isinstance(error, ValidationError):
+        return str(error)
+    first = error.errors(include_url=False)[0]
+    place, got = ".".join(map(str, first["loc"])), clip(repr(first["input"]))
+    return f"{place}: {first['msg']}, got {got}" if place else first["msg"]
+
+
 def check_bytes(n_bytes: int, what: str, *, most: int | None = None) -> None:
     """Refuse what would take more memory than the limit, before it is taken."""
     limit = read_limit()

@@ -17,7 +17,7 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from feel321.analysis.arrays import Values, check_columns, read_array, read_numbers
-from feel321.analysis.resampling import FEWEST_ITEMS
+from feel321.analysis.resampling import FEWEST_ITEMS, weighted_pearson
 from feel321.analysis.table.items import (
     STIMULUS,
     Table,
@@ -253,8 +253,13 @@ def gauge_raters(tests: DataFrame, means: DataFrame, *, rng: np.random.Generator
         shuffled = rng.permuted(np.broadcast_to(rating, (PERMUTATIONS, len(rating))), axis=1)
         averages, square, within = _mean_squares(item, np.vstack([rating, shuffled]))
         others = means.drop(index=who).mean().reindex(np.unique(item)).to_numpy()
+        shared = np.isfinite(others)
+        agreement = np.full(len(averages), np.nan)
+        if shared.sum() >= FEWEST_ITEMS:
+            weights = np.ones(int(shared.sum()))
+            agreement = weighted_pearson(averages[:, shared], others[shared], weights=weights)
         with np.errstate(invalid="ignore", divide="ignore"):
-            measured = square / within, panel_square / within, _agree(averages, others)
+            measured = square / within, panel_square / within, agreement
         for name, values in zip(MEASURES, measured, strict=True):
             value, null = float(values[0]), values[1:][~np.isnan(values[1:])]
             floor = p = np.nan
@@ -281,15 +286,3 @@ def _mean_squares(item: NDArray[np.intp], ratings: Values) -> tuple[Values, Valu
     within = ((ratings - means[:, place]) ** 2).sum(axis=1) / spare
     constant = np.ptp(ratings, axis=1) == 0
     return means, np.where(constant, np.nan, between), np.where(constant, np.nan, within)
-
-
-def _agree(means: Values, others: Values) -> Values:
-    shared = np.isfinite(others)
-    if shared.sum() < FEWEST_ITEMS:
-        return np.full(len(means), np.nan)
-    own = means[:, shared] - means[:, shared].mean(axis=1, keepdims=True)
-    other = others[shared] - others[shared].mean()
-    scale = np.sqrt((own**2).sum(axis=1) * (other**2).sum())
-    nothing = np.full(len(own), np.nan)
-    r: Values = np.divide((own * other).sum(axis=1), scale, out=nothing, where=scale > 0)
-    return r

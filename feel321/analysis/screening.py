@@ -25,7 +25,15 @@ import pandas as pd
 from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import FLAT, check_columns, read_numbers
 from feel321.analysis.consistency import FLOOR, gauge_raters
-from feel321.analysis.table.items import STIMULUS, Table, leave_rejected, name_stimuli, open_ratings
+from feel321.analysis.resampling import weighted_pearson
+from feel321.analysis.table.items import (
+    STIMULUS,
+    Table,
+    leave_rejected,
+    name_stimuli,
+    open_ratings,
+    refuse_unnamed,
+)
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.doors import as_rng, check_name
 from feel321.protocols.tasks import PROTOCOLS
@@ -110,10 +118,7 @@ def _prepare(ratings: DataFrame, *, assumed: str) -> tuple[DataFrame, list[str]]
     check_columns(ratings, ["participant", "rating", STIMULUS], "ratings")
     if ratings.empty:
         raise ValueError("ratings must hold a row per judgement, got no row")
-    for name in ("participant", STIMULUS):
-        if nameless := int(ratings[name].isna().sum()):
-            got = f"got {nameless} rows without a {name}; name it or leave them out"
-            raise ValueError(f"ratings must all be named, {got}")
+    refuse_unnamed(ratings, ["participant", STIMULUS])
     values = read_numbers(ratings["rating"], what="ratings, 'rating'")
     bad = values[~((values >= LOWEST) & (values <= HIGHEST))]
     if len(bad):
@@ -277,13 +282,10 @@ def _reversed_scale(rows: DataFrame, limit: float) -> DataFrame:
     means = _average(rows)
     n_others = (means.notna().sum() - means.notna()).replace(0, np.nan)
     others = ((means.sum() - means.fillna(0.0)) / n_others).where(means.notna())
-    n, found = others.notna().sum(axis=1), []
-    for one, two in zip(means.to_numpy(), others.to_numpy(np.float64), strict=True):
-        both = np.isfinite(one) & np.isfinite(two)
-        few = both.sum() < FEWEST_JUDGEMENTS or 0 in {np.ptp(one[both]), np.ptp(two[both])}
-        found.append(np.nan if few else float(np.corrcoef(one[both], two[both])[0, 1]))
-    r = pd.Series(found, means.index, dtype=np.float64)
-    return _compare(n, n, r, limit=limit, below=True)
+    n = others.notna().sum(axis=1)
+    pair = (each.fillna(0.0).to_numpy(np.float64) for each in (means, others))
+    r = pd.Series(weighted_pearson(*pair, weights=others.notna().to_numpy(float)), means.index)
+    return _compare(n, n, r.where(n >= FEWEST_JUDGEMENTS), limit=limit, below=True)
 
 
 def _straight_lining(rows: DataFrame, limit: float) -> DataFrame:

@@ -365,7 +365,23 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
     else:
         notes.append("Williams' t is not defined: the three variables determine each other.")
     if max(abs(r1), abs(r2)) < PERFECT:
-        steiger, meng, low, high = _compare_z(r1, r2, r12, n)
+        apart, square = float(np.arctanh(r1) - np.arctanh(r2)), mean**2
+        covariance = r12 * (1 - 2 * square) - square * (1 - 2 * square - r12**2) / 2
+        steiger = apart * float(np.sqrt((n - 3) / (2 - 2 * covariance / (1 - square) ** 2)))
+        q = (r1**2 + r2**2) / 2
+        h = (1 - min(1.0, (1 - r12) / (2 * (1 - q))) * q) / (1 - q)
+        meng = apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
+        (low1, high1), (low2, high2) = (
+            _find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)
+        )
+        c = (r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3
+        c /= (1 - r1**2) * (1 - r2**2)
+        # max: rounding may push a vanishing sum of squares below 0
+        down, up = (
+            float(np.sqrt(max(0.0, one**2 + other**2 - 2 * c * one * other)))
+            for one, other in ((r1 - low1, high2 - r2), (high1 - r1, r2 - low2))
+        )
+        low, high = r1 - r2 - down, r1 - r2 + up
     else:
         notes.append("A perfect correlation has no Fisher's z: no Steiger, Meng or Zou.")
     return Statistic(
@@ -373,29 +389,6 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
         williams_p=float(2 * t.sf(abs(williams), n - 3)), steiger_z=steiger, steiger_p=float(2 * norm.sf(abs(steiger))),
         meng_z=meng, meng_p=float(2 * norm.sf(abs(meng))), zou_low=low, zou_high=high, notes=tuple(notes),
     )  # fmt: skip
-
-
-def _compare_z(r1: float, r2: float, r12: float, n: int) -> tuple[float, ...]:  # noqa: PLR0917 - as in the formulas
-    """Compute Steiger's and Meng's z, and the ends of Zou's interval."""
-    from scipy.stats import norm
-
-    apart, square = float(np.arctanh(r1) - np.arctanh(r2)), ((r1 + r2) / 2) ** 2
-    covariance = r12 * (1 - 2 * square) - square * (1 - 2 * square - r12**2) / 2
-    steiger = apart * float(np.sqrt((n - 3) / (2 - 2 * covariance / (1 - square) ** 2)))
-    q = (r1**2 + r2**2) / 2
-    f = min(1.0, (1 - r12) / (2 * (1 - q)))
-    h = (1 - f * q) / (1 - q)
-    meng = apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
-    (low1, high1), (low2, high2) = (
-        _find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)
-    )
-    c = ((r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3) / ((1 - r1**2) * (1 - r2**2))
-    # max: rounding may push a vanishing sum of squares below 0
-    down, up = (
-        float(np.sqrt(max(0.0, one**2 + other**2 - 2 * c * one * other)))
-        for one, other in ((r1 - low1, high2 - r2), (high1 - r1, r2 - low2))
-    )
-    return steiger, meng, r1 - r2 - down, r1 - r2 + up
 
 
 def repeated_measures_correlation(

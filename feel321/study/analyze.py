@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import chain, count
 from pathlib import Path
 from shlex import quote
@@ -18,7 +18,7 @@ from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
-from feel321.analysis.table.metrics import ROTATIONS, make_info
+from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
 from feel321.files import write_text
 from feel321.names import MATCHES
@@ -32,21 +32,14 @@ from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
-from feel321.study.freeze import make_standing
+from feel321.study.freeze import list_info, make_standing
 from feel321.study.people import list_progress, list_remarks, write_roster
 from feel321.study.persons.answers import ANSWERS_FILE, write_answers
 from feel321.study.persons.withdrawal import closing_results
 from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
-from feel321.study.sessions import find_changes
-from feel321.study.settings.read import (
-    list_origins,
-    make_recipe,
-    open_recordings,
-    read_settings,
-    try_recordings,
-)
+from feel321.study.settings.read import find_changes, make_recipe, read_settings
+from feel321.study.settings.recordings import list_origins, open_recordings, try_recordings
 from feel321.study.settings.schema import AnalysisTable, Settings
-from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
     from feel321.analysis.replication import Paper
@@ -157,13 +150,6 @@ def _derive_tables(
     return replace(further, notes=notes), max(
         (one.last_rated[:10] for one in everybody), default=""
     )
-
-
-def list_info(settings: Settings) -> dict[str, MetricInfo]:
-    """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
-    facts = {name: table.to_facts() for name, table in settings.metrics.items()}
-    declared = {field.name for field in fields(MetricInfo)}
-    return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
 
 
 def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Paper | None":

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import people
-from feel321.study.auditing.study import list_files
-from feel321.study.folder import require_study
+from feel321.study.folder import list_delivered, require_study
 from feel321.study.numbers import find_doubles, hold_numbers, read_holder, read_holders
 from feel321.study.persons import withdrawal
 from feel321.study.persons.answers import PERSONAL_FILE, read_personal
@@ -181,7 +180,9 @@ def _compare_journals(here: Path, there: Path) -> tuple[dict[str, str], dict[str
     grown: dict[str, bytes] = {}
     for path in journals.list_journals(there):
         content, own = _read_lines(path), _read_lines(here / path.name)
-        for _, file, sha256 in list_files(journals.read_chain(content, str(path)).records, there):
+        for _, file, sha256 in list_delivered(
+            journals.read_chain(content, str(path)).records, there
+        ):
             files[file.relative_to(there).as_posix()] = sha256
         if content.startswith(own):
             grown |= {path.name: content} if content != own else {}

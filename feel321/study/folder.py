@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from feel321.doors import check_name
 from feel321.files import create_text, is_of_group, make_folder
 from feel321.records import Result
+from feel321.study.session.events import PartPlayed
 from feel321.study.session.journal import PARTICIPANT_ID, Clock, list_journals, utc_now
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 
+    from feel321.study.session.journal import Record
     from feel321.study.session.plan import Dossier
     from feel321.types import Progress
 
@@ -59,6 +61,15 @@ class UsageError(ValueError):
 def name_delivered(number: int) -> str:
     """Name the file of a playback."""
     return f"{number:04}.wav"
+
+
+def list_delivered(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
+    """List the files of what was rendered or measured: who names them, where they are, their digest."""
+    for record in records:
+        played = record.content if record.event == PartPlayed.event else None
+        if isinstance(played, PartPlayed) and played.delivered_sha256:
+            name = name_delivered(int(played.measured.get("file_number", 0)))
+            yield record, folder / DELIVERED / name, played.delivered_sha256
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ import csv
 import json
 import re
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from feel321.study.people import read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.journal import digest, list_journals
 from feel321.study.session.opening import FROZEN_FILE
+from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -66,8 +67,7 @@ class Frozen:
 
 def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, str]]:
     """Write `frozen.json`, before the first session of a person; return what it holds and what differs from before."""
-    from feel321.study.sessions import require_current_set
-    from feel321.study.settings.read import read_settings
+    from feel321.study.settings.read import read_settings, require_current_set
 
     former, settings = read_frozen(study), read_settings(study.settings)
     begun = [path.split("/")[1] for path, _ in _list_sessions(study)]
@@ -133,7 +133,8 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     protocols = digest_protocols(settings.session.protocols)
     found |= {f"code.{name}": sha256 for name, sha256 in protocols.items()}
     for claim in settings.paper.claims if settings.paper else ():
-        found[f"paper.claims.{claim.name}"] = to_json_value(asdict(claim))
+        numbers = {"paper": claim.paper._asdict()}
+        found[f"paper.claims.{claim.name}"] = to_json_value(asdict(claim) | numbers)
     found |= {f"analysis.{name}": said for name, said in MODEL.items()}
     found |= {f"software.{name}": number for name, number in list_versions().items()}
     return dict(sorted(found.items()))
@@ -149,19 +150,27 @@ def _flatten(entry: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
     """List the declared slopes: one for each scale and level on which stimuli are rated, and each metric."""
-    from feel321.analysis.table.metrics import make_info
     from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
     from feel321.names import METRIC_INFO
 
     tasks = settings.list_tasks()
     scales = dict.fromkeys(name for task in tasks for name in (task.scales or (task.protocol,)))
     rated = [RECAST if name == PAIRED else name for name in scales]
-    known = {name: make_info(name, table.to_facts()) for name, table in settings.metrics.items()}
+    known = {**METRIC_INFO, **list_info(settings)}
     for scale in (name for name in rated if name not in {ANSWERED, *CHOSEN}):
         for level in settings.stimuli.levels:
             for metric in settings.analysis.metrics:
-                info = known.get(metric) or METRIC_INFO.get(metric) or make_info(metric, {})
-                yield Hypothesis(scale, level, metric, info.higher)
+                higher = known[metric].higher if metric in known else "better"
+                yield Hypothesis(scale, level, metric, higher)
+
+
+def list_info(settings: Settings) -> dict[str, MetricInfo]:
+    """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
+    from feel321.analysis.table.metrics import make_info
+
+    facts = {name: table.to_facts() for name, table in settings.metrics.items()}
+    declared = {one.name for one in fields(MetricInfo)}
+    return {name: make_info(name, one) for name, one in facts.items() if declared & set(one)}
 
 
 def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, str]:
@@ -175,8 +184,16 @@ def find_changes(frozen: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str,
     return {
         name: f"{name}: was {describe(frozen.get(name))}, now {describe(now.get(name))}"
         for name in sorted({*frozen, *now})
-        if frozen.get(name) != now.get(name)
+        if _drop_unset(frozen.get(name)) != _drop_unset(now.get(name))
     }
+
+
+def _drop_unset(value: Any) -> Any:  # noqa: ANN401 - whatever JSON holds
+    """Drop what is not set: a key that came with a newer feel321 is no change."""
+    if isinstance(value, dict):
+        kept = {key: _drop_unset(one) for key, one in value.items()}
+        return {key: one for key, one in kept.items() if one not in (None, {})}
+    return [_drop_unset(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def list_changes(study: StudyFolder, settings: Settings, frozen: Frozen) -> dict[str, str]:

@@ -36,14 +36,9 @@ from feel321.study.observer.simulated import Participant
 from feel321.study.people import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place
-from feel321.study.sessions import (
-    Room,
-    lead_session,
-    list_rig_problems,
-    plan_sessions,
-    require_current_set,
-)
+from feel321.study.sessions import Room, lead_session, list_rig_problems, plan_sessions
 from feel321.study.settings import read
+from feel321.study.settings.recordings import list_surfaces, try_recordings
 from feel321.study.strength import find_unfelt
 from feel321.study.terminal import CALL, echo, is_terminal
 
@@ -135,7 +130,7 @@ def run_participant(
 ) -> Place:
     """Run the session of one participant, or resume it; seed: of a simulated one."""
     study, settings, stimuli = room.study, room.settings, room.stimuli
-    require_current_set(study, settings)
+    read.require_current_set(study, settings)
     if unfelt := find_unfelt(settings, stimuli):
         if not (study.is_rehearsal or simulated):
             raise ValueError(f"{study.settings}: {unfelt}")
@@ -243,7 +238,7 @@ def open_lab(
     settings, keys, folder = room.settings, _get_rig(room).keys, room.study.path
     clock = start_clock(journal.records.find_elapsed())
     texts = make_screen_texts(read.read_study_texts(settings, folder), keys)
-    surfaces = read.list_surfaces(settings, folder)
+    surfaces = list_surfaces(settings, folder)
     with ExitStack() as stack:
         output = stack.enter_context(_open_output(plan, room=room, clock=clock))
         output.lead_s = room.certificate.lead_s if room.certificate else 0.0
@@ -288,7 +283,7 @@ def _make_check(room: Room) -> DeliveryCheck | None:
         return None
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 
-    found = (one for _, one in read.try_recordings(settings, folder))
+    found = (one for _, one in try_recordings(settings, folder))
     recordings = [one for one in found if not isinstance(one, str)]
     return DeliveryCheck(
         room.stimuli,

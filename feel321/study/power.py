@@ -40,18 +40,22 @@ from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
-from feel321.study import ratings, sessions
+from feel321.study import ratings
 from feel321.study.folder import StudyFolder, UsageError
 from feel321.study.observer.model import make_model
 from feel321.study.session import plan as plans
 from feel321.study.session.plan import list_by_code
 from feel321.study.settings import read, schema
+from feel321.study.settings.recordings import list_origins
 from feel321.study.settings.schema import Settings
 
 Numbers = int | Sequence[int]
 Row = dict[str, Any]
 
 OWN = "study"  # A pilot that is no file: the study's own ratings
+
+KEPT = ".studies"
+"""Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
 
 PEOPLE, FEWEST = 16, 3
 """Raters of each attribute in the design around which others are compared; without so many there is no model."""
@@ -99,7 +103,7 @@ def set_up(
             "plans studies in which all rate the same ones; leave it out"
         )
     stimuli = read_stimuli(study.stimuli)
-    sessions.require_current_set(study, settings)
+    read.require_current_set(study, settings)
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
     table = _tabulate_plan(settings, stimuli, groups=share, further=further)
@@ -180,7 +184,7 @@ def _tabulate_plan(
             })  # fmt: skip
     return reading.read_table(
         DataFrame(rows), stimuli.to_frame(), metrics=settings.analysis.metrics,
-        sources=read.list_origins(settings), further=further,
+        sources=list_origins(settings), further=further,
     )  # fmt: skip
 
 
@@ -275,19 +279,25 @@ def _fit_pilot(table: Table, metrics: Sequence[str], *, name: str, known: Truth)
     )  # fmt: skip
 
 
-def plan_study(
+def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studies, who does them, who watches
     task: PowerTask,
     sizes: Mapping[str, Numbers],
     *,
     studies: int = 1000,
     seed: int = 0,
+    keep: Path | None = None,
     workers: Workers,
     progress: Callable[[int, int], None],
 ) -> "StudyPower":
     """Compute the power of all designs, for the slope with the least power; sizes: by the names of `SIZES`."""
     if studies < 0:
         raise ValueError(f"studies must be 0 or more, got {studies}; give 1000")
-    factors = {name: _list_numbers(numbers, name) for name, numbers in sizes.items()}
+    factors: dict[str, tuple[int, ...]] = {}
+    for name, given in sizes.items():
+        factors[name] = tuple(given) if isinstance(given, Iterable) else (given,)
+        for one in factors[name]:
+            if not isinstance(one, int | np.integer) or one < 1:
+                raise ValueError(f"{name} must be whole numbers of 1 or more, got {one!r}")
     people, share = factors.get("participants", ()), task.share
     if odd := [one for one in people if one % share or one < FEWEST * share]:
         raise ValueError(
@@ -304,7 +314,7 @@ def plan_study(
         nonlocal run
         done, run = min(run, planning.TRIED), run + 1
         return simulate_studies(
-            design, studies=studies, seed=seed, workers=workers,
+            design, studies=studies, seed=seed, workers=workers, keep=keep,
             progress=lambda part, parts: progress(done * parts + part, whole * parts),
         )  # fmt: skip
 
@@ -313,14 +323,6 @@ def plan_study(
         simulate=simulate if studies else None,
     )  # fmt: skip
     return StudyPower(plan, task, seed)
-
-
-def _list_numbers(numbers: Numbers, what: str) -> tuple[int, ...]:
-    listed = tuple(numbers) if isinstance(numbers, Iterable) else (numbers,)
-    for one in listed:
-        if not isinstance(one, int | np.integer) or one < 1:
-            raise ValueError(f"{what} must be whole numbers of 1 or more, got {one!r}")
-    return tuple(int(one) for one in listed)
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from math import prod
-from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import make_scales
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_details, read_stimuli
-from feel321.stimuli.sets.recipe import Recipe, describe_recipe
-from feel321.stimuli.sets.render import list_methods
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.numbers import Station, plan_participants
 from feel321.study.persons.answers import make_keeper
@@ -23,7 +18,7 @@ from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan
 from feel321.study.session.ports import Place, Presenter
-from feel321.study.settings.read import make_design, make_recipe, read_settings, read_study_texts
+from feel321.study.settings.read import make_design, read_settings, read_study_texts
 
 if TYPE_CHECKING:
     from feel321.protocols.trial import Scale
@@ -145,45 +140,3 @@ def list_rig_problems(
 
 
 # Whether a stimulus set is what the settings ask for; no recording is read for it.
-
-
-def require_current_set(study: StudyFolder, settings: Settings) -> None:
-    """Refuse a stimulus set that is not the one of the settings."""
-    named = dict.fromkeys(entry.title for entry in settings.recordings)
-    if changes := find_changes(study.stimuli, make_recipe(settings, study.path), named):
-        remedy = f"run feel321 build {quote(str(study.path))}"
-        raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))
-
-
-def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:
-    """Compare a built set with what the settings ask for.
-
-    recordings: name of each recording in the settings -> digest of its source, None where it is not known.
-    """
-    built = read_details(folder)
-    origins = {row.get("recording", ""): row.get("recording_sha256", "") for row in built.stimuli}
-    wanted, own = json.loads(json.dumps([describe_recipe(recipe), list_methods(recipe)]))
-    changes = list(_compare_recipes(built.recipe, wanted))
-    # The lab's own methods, and further metrics, are there where there are any.
-    methods = {kind: getattr(built, kind) for kind in ("reducers", "metrics")}
-    changes += _compare_recipes({kind: one for kind, one in methods.items() if one}, own)
-    if set(origins) != set(recordings):
-        was, named = (", ".join(sorted(names)) for names in (origins, recordings))
-        changes.append(f"recordings: built from {was}; the settings name {named}")
-    changes += [
-        f"recording {name!r}: is not the one that the set was built from"
-        for name, sha256 in recordings.items()
-        if sha256 is not None and origins.get(name, sha256) != sha256
-    ]
-    return [f"{folder}: {change}" for change in changes]
-
-
-def _compare_recipes(
-    built: Mapping[str, Any], wanted: Mapping[str, Any], *, table: str = ""
-) -> Iterator[str]:
-    for key in sorted({*built, *wanted}):
-        old, new = built.get(key), wanted.get(key)
-        if isinstance(old, dict) and isinstance(new, dict):
-            yield from _compare_recipes(old, new, table=f"{table}{key}.")
-        elif old != new:
-            yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"

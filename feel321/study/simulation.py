@@ -20,8 +20,8 @@ from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Clock, Journal, list_journals, read_journal
 from feel321.study.session.plan import TOMBSTONE_FILE, Plan
 from feel321.study.session.ports import Presenter
-from feel321.study.sessions import Room, lead_session, open_room, plan_sessions, require_current_set
-from feel321.study.settings.read import make_identity, read_settings
+from feel321.study.sessions import Room, lead_session, open_room, plan_sessions
+from feel321.study.settings.read import make_identity, read_settings, require_current_set
 from feel321.study.settings.schema import Settings
 from feel321.study.strength import find_unfelt
 

@@ -28,8 +28,9 @@ from feel321.study.folder import Problems, StudyFolder
 from feel321.study.minutes import measure_design
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
-from feel321.study.sessions import find_changes, list_rig_problems
+from feel321.study.sessions import list_rig_problems
 from feel321.study.settings import read
+from feel321.study.settings.recordings import list_unread, try_recordings
 from feel321.study.settings.schema import Settings, count_groups
 
 Progress = Callable[[int, int], None]
@@ -44,7 +45,7 @@ def build_study(
     if as_workers(workers).scheduler:
         study = StudyFolder(study.path.absolute())  # as all machines see it
     settings = read.read_settings(study.settings)
-    sources = read.list_unread(settings, study.path)
+    sources = list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
     _protect_used_set(study, settings, recipe)
     with declaring(study, "build"), follow(progress or False, "build") as move:
@@ -57,11 +58,11 @@ def _protect_used_set(study: StudyFolder, settings: Settings, recipe: Recipe) ->
     if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
         return
     # What cannot be read is reported by the build.
-    found = read.try_recordings(settings, study.path)
+    found = try_recordings(settings, study.path)
     digests = {source.name: getattr(one, "sha256", None) for source, one in found}
     try:
         sha256 = read_stimuli(study.stimuli).sha256.encode()
-        changes = find_changes(study.stimuli, recipe, digests)
+        changes = read.find_changes(study.stimuli, recipe, digests)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"{study.stimuli}: sessions may have been run with this set, which cannot be read ({error}); "
@@ -158,7 +159,7 @@ def _examine(
     """Read each recording once, and measure its stimuli as a build does; keep no samples."""
     history, count = sets.read_history(study.stimuli), len(settings.recordings)
     seen, covariances, faults = list[sets.Facts](), Covariances(), list[str]()
-    for done, (source, recording) in enumerate(read.try_recordings(settings, study.path), start=1):
+    for done, (source, recording) in enumerate(try_recordings(settings, study.path), start=1):
         if isinstance(recording, str):
             own = sets.Facts(source.name, fault=recording)
         elif recipe is None:
@@ -233,7 +234,7 @@ def _check_set(
         sources = {recording.name: recording.sha256 for recording in recordings}
         named = {entry.title: sources.get(entry.title) for entry in settings.recordings}
         try:
-            changes = find_changes(study.stimuli, recipe, named)
+            changes = read.find_changes(study.stimuli, recipe, named)
         except ValueError as error:
             yield str(error)
         else:

@@ -151,11 +151,11 @@ def deviance_written_out(profile: Profile, theta: np.ndarray) -> float:
     """-2 log restricted likelihood by the covariance of all rows, as in any textbook."""
     design, n = profile.design, profile.n_rows
     covariance = np.eye(n)
-    for block in profile.blocks:
-        columns = block.factor.columns / block.scale
+    for block, own in zip(
+        profile.blocks, profile.find_spreads(profile.evaluate(theta)), strict=True
+    ):
         same = block.factor.index[:, None] == block.factor.index
-        lower = block.triangle(theta)
-        covariance += same * (columns @ lower @ lower.T @ columns.T)
+        covariance += same * (block.factor.columns @ own @ block.factor.columns.T)
     inverse = np.linalg.inv(covariance)
     information = design.fixed.T @ inverse @ design.fixed
     rest = design.response - design.fixed @ np.linalg.solve(

@@ -19,6 +19,7 @@ from feel321.study.analyze import analyze_study
 from feel321.study.cli import main
 from feel321.study.freeze import (
     describe_frozen,
+    find_changes,
     find_faults,
     freeze_study,
     list_changes,
@@ -94,6 +95,14 @@ def test_what_does_not_change_a_setting(smallest: StudyFolder) -> None:
     assert compare(smallest) == {}
     moved = smallest.path.rename(smallest.path.with_name("moved"))
     assert compare(type(smallest)(moved)) == {}
+
+
+def test_a_key_that_is_not_set_is_no_change() -> None:
+    """Another version of feel321 may know it, or no longer."""
+    now = {"session.questions": [{"name": "age", "low": 5.0}]}
+    before = {"session.questions": [{"name": "age", "low": 5.0, "use": None, "more": {"a": None}}]}
+    assert find_changes(before, now) == find_changes(now, before) == {}
+    assert [*find_changes(before, {"session.questions": [{"name": "age"}]})] == [*now]
 
 
 FLAT = "def flat(acceleration, reduced, rate_hz):\n    return "

@@ -248,13 +248,32 @@ def compare_reducers(
 
 
 def fit_reducers(rows: DataFrame, names: Sequence[str]) -> tuple[MixedFit, dict[str, str], int]:
-    """Fit the model of `compare_reducers`; return it, the term of each reducer, and how many cells there are."""
+    """Fit the model of `compare_reducers`; return it, the term of each reducer, and how many cells there are.
+
+    A spread that has one row per level is in the residual already.
+    """
     cells = rows.groupby(CELL, observed=True)["rating"].mean().reset_index()
     codes = {name: f"c{number}" for number, name in enumerate(names)}
     sources = cells["recording"].map(find_sources(rows))
     cells = cells.assign(source=sources, which=cells["reducer"].map(codes))
-    terms = {name: f"which{code}" for name, code in codes.items()}
-    return fit_mixed(_write_formula(cells), cells), terms, len(cells)
+    sizes = {name: len(cells.drop_duplicates(columns)) for name, columns in GROUPS.items()}
+    dropped: tuple[str, ...] = ()
+    if sizes["recording"] == 1:
+        dropped += ("item", "participant:recording")
+    if sizes["source"] in {1, sizes["recording"]}:
+        dropped += ("source", "source:which")
+    if sizes["participant"] == 1:
+        dropped += ("participant", "participant:recording", "participant:which")
+    kept = [name for name, n in sizes.items() if 1 < n < len(cells) and name not in dropped]
+    if not kept:
+        must = "ratings must be of several participants or recordings, got one of each"
+        raise ValueError(f"{must}: nothing is left to judge a difference by")
+    formula = " + ".join(["rating ~ 0 + which", *(f"(1 | {name})" for name in kept)])
+    return (
+        fit_mixed(formula, cells),
+        {name: f"which{code}" for name, code in codes.items()},
+        len(cells),
+    )
 
 
 def compare_terms(fit: MixedFit, terms: Sequence[str]) -> Statistic:
@@ -280,20 +299,3 @@ def compare_terms(fit: MixedFit, terms: Sequence[str]) -> Statistic:
         df_2 = 2 * expected / (expected - df_1)
     p = float(fisher.sf(f, df_1, df_2))
     return Statistic("JointTest", statistic=f, df_1=df_1, df_2=float(df_2), p=p)
-
-
-def _write_formula(cells: DataFrame) -> str:
-    """Write the model; a spread that has one row per level is in the residual already."""
-    sizes = {name: len(cells.drop_duplicates(columns)) for name, columns in GROUPS.items()}
-    dropped: tuple[str, ...] = ()
-    if sizes["recording"] == 1:
-        dropped += ("item", "participant:recording")
-    if sizes["source"] in {1, sizes["recording"]}:
-        dropped += ("source", "source:which")
-    if sizes["participant"] == 1:
-        dropped += ("participant", "participant:recording", "participant:which")
-    kept = [name for name, n in sizes.items() if 1 < n < len(cells) and name not in dropped]
-    if not kept:
-        must = "ratings must be of several participants or recordings, got one of each"
-        raise ValueError(f"{must}: nothing is left to judge a difference by")
-    return " + ".join(["rating ~ 0 + which", *(f"(1 | {name})" for name in kept)])

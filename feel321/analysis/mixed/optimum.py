@@ -55,7 +55,7 @@ some thousands is known to."""
 
 @dataclass(frozen=True)
 class Block:
-    """A factor's scale, (width,), and its triangle of spreads: entries [rows, columns] are theta[theta].
+    """A factor's scale, (width,), and its lower triangle of spreads: entries [rows, columns] are theta[theta].
 
     unit: the unit of each of its levels, and place: its number there, (n_levels,); None where it is not nested.
     """
@@ -67,12 +67,6 @@ class Block:
     columns: Codes
     unit: Codes
     place: Codes | None
-
-    def triangle(self, theta: Samples) -> Samples:
-        """Write the parameters as a triangle, (width, width)."""
-        lower = np.zeros((len(self.scale),) * 2)
-        lower[self.rows, self.columns] = theta[self.theta]
-        return lower
 
 
 def place_factors(factors: Sequence[Factor], unit: Factor) -> Iterator[Block]:
@@ -170,8 +164,18 @@ class Profile:
         unit = _choose_unit(design.factors)
         self.n_units = unit.n_levels
         self.blocks = tuple(place_factors(design.factors, unit))
-        self.diagonal = np.concatenate([block.rows == block.columns for block in self.blocks])
-        self.penalised = _find_penalised(self.blocks, penalty)
+        # Of every parameter, the spread of its column of the triangle.
+        ends = [np.flatnonzero(block.rows == block.columns) for block in self.blocks]
+        each = zip(self.blocks, ends, strict=True)
+        self.of_spread = np.concatenate([one.theta.start + end[one.columns] for one, end in each])
+        self.diagonal = self.of_spread == np.arange(len(self.of_spread))
+        known = [one.factor.name for one in self.blocks if (one.rows == one.columns).all()]
+        if not set(penalty) <= set(known):
+            must = f"groups of the formula with uncorrelated effects ({', '.join(sorted(known))})"
+            got = f"got {', '.join(penalty)}; write (1 + x || g)"
+            raise ValueError(f"penalty must name {must}, {got}")
+        held = [np.full(len(one.rows), one.factor.name in penalty) for one in self.blocks]
+        self.penalised = np.concatenate(held)
         # Every spread whose logarithm is penalised takes one residual's along, for spreads are in units of it.
         self.weight = self.freedom - int(self.penalised.sum())
         self.own = Spread([one for one in self.blocks if one.place is not None])
@@ -352,20 +356,13 @@ class Profile:
 
     def find_spreads(self, state: State) -> list[Samples]:
         """Covariances of the random effects, (width, width), in units of s², in the order of the formula."""
-        lowers = [block.triangle(state.theta) / block.scale[:, None] for block in self.blocks]
-        return [lower @ lower.T for lower in lowers]
-
-
-def _find_penalised(blocks: Sequence[Block], names: Sequence[str]) -> NDArray[np.bool_]:
-    """Mark the parameters, (n_theta,), whose logarithm is penalised: the spreads of the factors named."""
-    known = {one.factor.name for one in blocks if (one.rows == one.columns).all()}
-    if not set(names) <= known:
-        must = f"groups of the formula with uncorrelated effects ({', '.join(sorted(known))})"
-        got = f"got {', '.join(names)}; write (1 + x || g)"
-        raise ValueError(f"penalty must name {must}, {got}")
-    return np.concatenate([
-        np.full(len(block.rows), block.factor.name in names) for block in blocks
-    ])
+        found = []
+        for block in self.blocks:
+            lower = np.zeros((len(block.scale),) * 2)
+            lower[block.rows, block.columns] = state.theta[block.theta]
+            lower /= block.scale[:, None]
+            found.append(lower @ lower.T)
+        return found
 
 
 def _choose_unit(factors: Sequence[Factor]) -> Factor:
@@ -447,12 +444,8 @@ def _descend(profile: Profile, start: Samples) -> State:
         got = "got a response that the random effects give exactly, without residual"
         do = "leave the finest group out of the formula"
         raise ValueError(f"data must have scatter within groups, {got}; {do}")
-    settled = np.empty_like(found)
-    for block in profile.blocks:
-        lower = block.triangle(found)
-        # A column turned around changes nothing.
-        lower = lower * np.where(np.diag(lower) < 0, -1.0, 1.0)
-        settled[block.theta] = lower[block.rows, block.columns]
+    # A column turned around changes nothing.
+    settled = found * np.where(found[profile.of_spread] < 0, -1.0, 1.0)
     settled[profile.diagonal & (settled < ZERO) & ~held] = 0.0
     return profile.evaluate(settled)
 

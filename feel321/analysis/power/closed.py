@@ -117,10 +117,16 @@ class ClosedForm:
 
     def find_power(self, value: float, *, participants: int | None = None) -> float:
         """Compute the power to find a slope of some size, averaged over sets; NaN where no set has a test."""
+        from scipy.stats import nct, norm, t
+
         errors = self.errors if participants is None else self._find_errors(participants)
         if not len(errors):
             return math.nan
-        chances = find_chance(abs(value) / errors[:, 0], errors[:, 1], level=self.design.level)
+        shift, df = abs(value) / errors[:, 0], errors[:, 1]
+        limit = t.ppf(1 - self.design.level / 2, df)
+        power = nct.sf(limit, df, shift) + nct.cdf(-limit, df, shift)
+        # SciPy's noncentral t gives up far out, where the normal distribution is as good.
+        chances = np.where(np.isfinite(power), power, norm.sf(limit - shift))
         return float(chances.sum() / len(self.sets))
 
     def find_ceiling(self, value: float) -> float:
@@ -182,17 +188,6 @@ class ClosedForm:
         if all(math.isnan(self.measure(one, people)[0]) for one in self.sets):
             return "the metric does not vary within recordings, or cannot be told apart from the others"
         return f"fewer than {FEWEST_DF:g} degrees of freedom are left with the planted spreads"
-
-
-def find_chance(shift: Samples, df: Samples, *, level: float) -> Samples:
-    """Compute the power of two-sided t tests; shift: true value over its standard error."""
-    from scipy.stats import nct, norm, t
-
-    limit = t.ppf(1 - level / 2, df)
-    power = nct.sf(limit, df, shift) + nct.cdf(-limit, df, shift)
-    # SciPy's noncentral t gives up far out, where the normal distribution is as good.
-    found: Samples = np.where(np.isfinite(power), power, norm.sf(limit - shift))
-    return found
 
 
 def find_least(power: Callable[[int], float], *, ends: tuple[int, int], enough: float) -> float:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.arrays import check_columns, read_numbers
+from feel321.analysis.arrays import check_columns
 from feel321.analysis.table.items import (
     choose_metrics,
     find_sources,
@@ -27,7 +27,9 @@ from feel321.analysis.table.items import (
     leave_untested,
     name_items,
     open_ratings,
+    read_finite,
     refuse_pooled,
+    refuse_unnamed,
 )
 
 if TYPE_CHECKING:
@@ -136,18 +138,11 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     rows, notes = select_rows(rows)
     check_columns(rows, [*KEYS, RATING, *names], "rows")
     refuse_pooled(rows, metrics=names, what="rows")
-    numbers = {name: read_numbers(rows[name], what=f"rows, {name!r}") for name in (RATING, *names)}
-    for name, values in numbers.items():
-        if bad := int((~np.isfinite(values)).sum()):
-            got = f"got {bad} values of {name!r} not finite; leave such rows out"
-            raise ValueError(f"rows must have finite numbers, {got}")
-    if rows[list(KEYS)].isna().any(axis=None):
-        got = "got one without participant, recording or item; leave it out"
-        raise ValueError(f"rows must be complete, {got}")
+    rows = read_finite(rows, [RATING, *names], what="rows")
+    refuse_unnamed(rows, KEYS, what="rows")
     # Names as categories, whose every use costs less.
     known = [name for name in (REDUCER,) if name in rows]
-    categories = {name: rows[name].astype("category") for name in (*KEYS, *known)}
-    rows = rows.assign(**numbers, **categories)
+    rows = rows.assign(**{name: rows[name].astype("category") for name in (*KEYS, *known)})
     items = _add_level(_gather_items(rows, [*names, *known]), rows)
     if LEVEL not in items and not set(LEVELS) & set(names):
         lack = f"Level was not known (no column {', '.join(LEVELS)}): slopes may be those of level."

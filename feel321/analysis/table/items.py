@@ -265,22 +265,27 @@ def open_tests(
     if rows.empty:
         raise ValueError("ratings must be of test stimuli, got no row with role 'test'")
     refuse_pooled(rows, metrics=metrics)
-    _refuse_unnamed(rows, names)
-    for name in ("rating", *metrics):
-        numbers = read_numbers(rows[name], what=f"ratings, {name!r}")
-        if bad := int((~np.isfinite(numbers)).sum()):
-            got = f"got {bad} values that are not finite; leave them out"
-            raise ValueError(f"ratings: column '{name}' must be finite, {got}")
-        rows = rows.assign(**{name: numbers})
-    return rows, notes
+    refuse_unnamed(rows, names)
+    return read_finite(rows, ["rating", *metrics]), notes
 
 
-def _refuse_unnamed(rows: DataFrame, names: Iterable[str]) -> None:
+def refuse_unnamed(rows: DataFrame, names: Iterable[str], *, what: str = "ratings") -> None:
     """Refuse rows without a name: grouped by it they would be dropped in silence."""
     for name in names:
         if missing := int(rows[name].isna().sum()):
-            must, do = f"ratings must name a {name} in each row", "name it or leave them out"
+            must, do = f"{what} must name a {name} in each row", "name it or leave them out"
             raise ValueError(f"{must}, got {missing} without; {do}")
+
+
+def read_finite(rows: DataFrame, names: Iterable[str], *, what: str = "ratings") -> DataFrame:
+    """Read columns of numbers, none of them missing."""
+    for name in names:
+        numbers = read_numbers(rows[name], what=f"{what}, {name!r}")
+        if bad := int((~np.isfinite(numbers)).sum()):
+            got = f"got {bad} values that are not finite; leave them out"
+            raise ValueError(f"{what}: column '{name}' must be finite, {got}")
+        rows = rows.assign(**{name: numbers})
+    return rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -332,7 +337,7 @@ def select_tests(ratings: Table | DataFrame, *, matched: bool = True) -> DataFra
     """Select the ratings of single test stimuli; matched: those that the metrics describe."""
     rows = open_ratings(ratings)
     rows = rows.assign(**{name: "" for name in ARMS if name not in rows})
-    _refuse_unnamed(rows, ARMS)
+    refuse_unnamed(rows, ARMS)
     rows = recast_pairs(rows)
     rated = ~rows["scale"].isin(APART)
     if ROLE in rows:

@@ -258,7 +258,7 @@ def read_details(folder: Path) -> Details:
     try:
         return TypeAdapter(Details).validate_json(intake.read_bytes(path))
     except (OSError, ValueError) as error:
-        reason = type(error).__name__ if isinstance(error, OSError) else _word(error)
+        reason = type(error).__name__ if isinstance(error, OSError) else intake.word_fault(error)
         do = "restore it from a copy, or, as long as no session was planned with this set, write it anew with"
         raise ValueError(f"{path}: is missing or damaged ({reason}); {do}: feel321 build") from None
 
@@ -272,17 +272,6 @@ def find_methods(folder: Path) -> dict[str, str]:
     entries = details.reducers | details.metrics
     own = {name: one for name, one in entries.items() if one.get("method") != "feel321"}
     return {name: str(one.get("sha256")) for name, one in own.items()}
-
-
-def _word(error: ValueError) -> str:
-    """Word what is wrong with a file that does not fit its model: the first fault, where it is and what was got."""
-    from pydantic import ValidationError
-
-    if not isinstance(error, ValidationError):
-        return str(error)
-    first = error.errors(include_url=False)[0]
-    place, got = ".".join(map(str, first["loc"])), intake.clip(repr(first["input"]))
-    return f"{place}: {first['msg']}, got {got}" if place else first["msg"]
 
 
 def read_stimuli(folder: PathLike) -> StimulusSet:
@@ -323,7 +312,7 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
     except UnicodeError:
         raise
     except ValueError as error:
-        said = _word(error).removeprefix(f"{path.name}: ")
+        said = intake.word_fault(error).removeprefix(f"{path.name}: ")
         raise ValueError(f"{path}, line {line}: {said}; build the set again") from None
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")

@@ -30,12 +30,18 @@ from feel321.study.actuator.certificate import (
     read_certificate,
 )
 from feel321.study.actuator.output import Bench, OnStep, open_bench
-from feel321.study.actuator.rig import ActuatorTable, Rig, digest, require_sensor
+from feel321.study.actuator.rig import (
+    MARGIN,
+    ActuatorTable,
+    Rig,
+    digest,
+    find_allowed,
+    require_sensor,
+)
 from feel321.types import Samples
 
 PROBE = 0.1  # of the level that limits allow: the first sweep of a coil
 LADDER = (0.125, 0.25, 0.5)  # of the loudest sweep, before it
-MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
 MOST_TURNED_DEG = 30.0  # from the direction in rig.toml
 SILENCE_S = 0.5
 TAPS_PERIODS = 12.0  # of the band's lowest frequency: the length of a filter
@@ -61,12 +67,6 @@ def make_sweeps(
         peak=peak,
     )
     return main, replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
-
-
-def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
-    """Find the largest peak of a sine, as a part of full scale, that the mixer lets pass."""
-    limits = min(rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2)
-    return min(1.0, MARGIN * limits / actuator.full_scale_m_s2)
 
 
 def find_safe(rig: Rig, probe: response.Response) -> float:
@@ -110,13 +110,12 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
     ladder = [sweep(make_sweeps(rig, rate_hz=rate_hz, peak=one)[1])[0] for one in levels]
     loud, _ = make_sweeps(rig, rate_hz=rate_hz, peak=top)
     main, recorded = sweep(loud)
-    inside = response.find_inside(probe.frequency_hz, band_hz=loud.band_hz)
-    in_band_hz = probe.frequency_hz[inside]
+    in_band_hz = probe.frequency_hz[probe.inside]
 
     def compare_db(one: response.Response) -> float:
         """Compare a response with that of the quietest step, by third octaves."""
         size = np.interp(in_band_hz, one.frequency_hz, np.abs(one.response))
-        ratio_db = response.DB * np.log(size / np.abs(ladder[0].response[inside]))
+        ratio_db = response.DB * np.log(size / np.abs(ladder[0].response[probe.inside]))
         return float(np.median(response.average_thirds(ratio_db, in_band_hz, band_hz=loud.band_hz)))
 
     along = (main.direction @ recorded).reshape(loud.n_repeats, loud.period)
@@ -136,8 +135,8 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
 
 
 def _check_alive(rig: Rig, probe: response.Response) -> None:
-    inside = response.find_inside(probe.frequency_hz, band_hz=probe.band_hz)
-    coherence, latency_s = float(np.median(probe.coherence[inside])), probe.latency / probe.rate_hz
+    coherence = float(np.median(probe.coherence[probe.inside]))
+    latency_s = probe.latency / probe.rate_hz
     if coherence < response.ALIVE:
         raise ValueError(
             f"got no motion that follows the sweep (median coherence {coherence:.2f}), expected more; "

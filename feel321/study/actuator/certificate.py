@@ -28,6 +28,7 @@ from pydantic import (
 )
 from scipy import fft, signal
 
+from feel321 import intake
 from feel321.files import create_text, file_named, make_folder
 from feel321.study.actuator.response import BAND_HZ, Band, Spectrum
 from feel321.study.actuator.rig import AXES, Rig, SensorTable, digest
@@ -287,9 +288,7 @@ def read_certificate(path: Path) -> Certificate:
         try:
             return _CERTIFICATE.validate_python(entry)
         except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            place = ".".join(map(str, first["loc"]))
-            raise ValueError(f"{place}: {first['msg']}; calibrate again") from None
+            raise ValueError(f"{intake.word_fault(error)}; calibrate again") from None
 
 
 def _seal(entry: Mapping[str, Any]) -> str:

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.study.actuator import faults
-from feel321.study.actuator.calibrate import find_allowed
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
-from feel321.study.actuator.response import Response, Sweep, find_inside, make_sweep, measure_sweep
-from feel321.study.actuator.rig import ActuatorTable, Rig, require_sensor
+from feel321.study.actuator.response import Response, Sweep, make_sweep, measure_sweep
+from feel321.study.actuator.rig import ActuatorTable, Rig, find_allowed, require_sensor
 
 if TYPE_CHECKING:
     from feel321.study.actuator.mixer import Frames
@@ -188,13 +187,12 @@ def _describe(seen: Response | None) -> dict[str, Any]:
     if seen is None:
         names = ("level_m_s2", "direction", "coherence", "delay_ms", "distortion")
         return dict(zip(names, (0.0, [], 0.0, None, None), strict=True))
-    inside = find_inside(seen.frequency_hz, band_hz=seen.band_hz)
     return {
-        "level_m_s2": float(np.median(np.abs(seen.response[inside]))),
+        "level_m_s2": float(np.median(np.abs(seen.response[seen.inside]))),
         "direction": seen.direction.tolist(),
-        "coherence": float(np.median(seen.coherence[inside])),
+        "coherence": float(np.median(seen.coherence[seen.inside])),
         "delay_ms": 1e3 * seen.latency / seen.rate_hz,
-        "distortion": float(np.nanmedian(seen.distortion[inside])),
+        "distortion": float(np.nanmedian(seen.distortion[seen.inside])),
     }
 
 

@@ -14,7 +14,7 @@ from functools import partial
 from math import isnan
 from threading import Thread
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.actuator.delivered import DeliveryCheck
     from feel321.study.actuator.device import BlockTimes, SessionClock
     from feel321.types import Samples
 
@@ -113,6 +112,18 @@ LOOK_S = 0.005  # between two looks at a sink that is waited for
 SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, SimulatedStream)}
 
 
+class Check(Protocol):
+    """What compares playbacks with what was asked: `DeliveryCheck`, which knows the stimuli."""
+
+    def diagnose(
+        self, sent: Frames, sensed: Frames | None, *, keeps_latency: bool
+    ) -> tuple[str, str]:
+        """Name what spoils a whole playback, or what is only to be told."""
+
+    def describe(self, stimulus_id: str, sensed: Frames | None) -> dict[str, float]:
+        """Describe what was delivered."""
+
+
 class Output:
     """Plays sounds, shape (n_samples, channels), one at a time; `open_output` opens and closes it.
 
@@ -130,7 +141,7 @@ class Output:
         rate_hz: float,
         clock: SessionClock,
         folder: Path | None = None,
-        check: DeliveryCheck | None = None,
+        check: Check | None = None,
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
         self._check, self._name, self.identity = check, "", dict[str, Any]()

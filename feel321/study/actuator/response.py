@@ -89,6 +89,11 @@ class Response:
     direction: Samples
     cross_talk_db: float
 
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which of its frequencies lie in the band of its sweep."""
+        return find_inside(self.frequency_hz, band_hz=self.band_hz)
+
     def find_deviation_db(self, *, target: float, band_hz: Band) -> Samples:
         """Find how far it is from a target in a band, shape (k,)."""
         inside = find_inside(self.frequency_hz, band_hz=band_hz)

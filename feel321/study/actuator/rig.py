@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Self
@@ -15,6 +16,7 @@ FILE_DEVICE = "file"  # the name of the device that renders to WAV files
 SIMULATED_DEVICE = "simulated"  # the name of the device that `[simulation]` describes
 REDUCED = "reduced"  # what an actuator plays of one-axis stimuli
 AXES = ("x", "y", "z")  # of three-axis stimuli, in the order of the channels of their files
+MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
 LOUDEST_MASKING = 0.15  # of full scale: peaks of minutes of Gaussian noise are below 6 RMS
 
 Channel = Annotated[int, Field(ge=1, le=1024)]
@@ -230,6 +232,12 @@ def require_sensor(rig: Rig) -> SensorTable:
             "'NAME=GAIN' (m/s² at full scale)"
         )
     return rig.sensor
+
+
+def find_allowed(rig: Rig, actuator: ActuatorTable) -> float:
+    """Find the largest peak of a sine, as a part of full scale, that the mixer lets pass."""
+    limits = min(rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2)
+    return min(1.0, MARGIN * limits / actuator.full_scale_m_s2)
 
 
 def advise_latency(rig: Rig) -> str:

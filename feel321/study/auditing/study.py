@@ -25,7 +25,7 @@ from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study.auditing.evidence import Evidence, weigh
 from feel321.study.auditing.replay import MALFORMED, audit_steps
-from feel321.study.folder import DELIVERED, RATING_COLUMNS, Audit, name_delivered
+from feel321.study.folder import RATING_COLUMNS, Audit, list_delivered
 from feel321.study.freeze import describe_frozen, find_faults
 from feel321.study.numbers import Holder, find_doubles, read_holder
 from feel321.study.people import (
@@ -261,22 +261,13 @@ def _audit_content(records: Records, plan: Plan, folder: Path) -> Iterator[str]:
     yield from steps
     if steps:  # records need not be as they should
         return
-    for record, path, sha256 in list_files(records, folder):
+    for record, path, sha256 in list_delivered(records, folder):
         name = f", line {record.sequence + 1}: {path.parent.name}/{path.name}"
         if not path.is_file():
             yield f"{name} is gone; restore it from a copy"
         elif digest_file(path) != sha256:
             yield f"{name} was changed since it was written; restore it from a copy"
     yield from answers.audit_personal(folder, records)
-
-
-def list_files(records: Sequence[Record], folder: Path) -> Iterator[tuple[Record, Path, str]]:
-    """List the files of what was rendered or measured: who names them, where they are, their digest."""
-    for record in records:
-        played = record.content if record.event == events.PartPlayed.event else None
-        if isinstance(played, events.PartPlayed) and played.delivered_sha256:
-            name = name_delivered(int(played.measured.get("file_number", 0)))
-            yield record, folder / DELIVERED / name, played.delivered_sha256
 
 
 # Tables: one may lack what was recorded since it was derived, and nothing else; what it holds is compared row by row.
@@ -402,7 +393,8 @@ def _find_wrong(row: Row, own: Row, lagging: set[str]) -> str:
     """Find the first cell that the journals contradict."""
     got, last = row.get("last_utc") or "", own.get("last_utc", "")
     if got > last:
-        return f"last_utc is {got}, the journals {f'end at {last}' if last else 'that are left hold nothing'}"
+        said = f"the journals end at {last}" if last else "but there is no journal"
+        return f"last_utc is {got}, {said}"
     is_old = got < last or (own.get("rejected"), row.get("rejected")) == ("true", "false")
     for name, value in own.items():
         if (got := row.get(name, "")) != value and not (is_old and name in lagging):

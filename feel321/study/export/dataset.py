@@ -32,15 +32,15 @@ from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.study.actuator.certificate import list_certificates, read_certificate
 from feel321.study.admission import OURS
-from feel321.study.analyze import list_info
 from feel321.study.checkpoints import find_newest
 from feel321.study.folder import RATING_COLUMNS
-from feel321.study.freeze import read_frozen
+from feel321.study.freeze import list_info, read_frozen
 from feel321.study.numbers import WITHDRAWN, read_holders
 from feel321.study.people import list_progress, write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, TrialRated
-from feel321.study.settings.read import list_origins, read_settings, read_study_texts
+from feel321.study.settings.read import read_settings, read_study_texts
+from feel321.study.settings.recordings import list_origins
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -1,49 +1,53 @@
-"""Read and edit `study.toml`; turn it into recordings, methods, recipe, texts and design."""
+"""Read and edit `study.toml`; turn it into recordings, methods, recipe, texts and design; check it as a whole."""
 
-import hashlib
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict, replace
+from dataclasses import asdict
+from difflib import get_close_matches
 from inspect import signature
+from itertools import product
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from feel321 import intake
 from feel321.doors import describe, name_of, refuse_name
 from feel321.extensions import FORMS, Method, find_method, is_given, list_entry_points
 from feel321.files import create_text, make_folder, temporary_folder, write_text
-from feel321.names import WRITTEN
-from feel321.protocols.tasks import digest_protocols
+from feel321.names import ANCHOR_NAMES, METRIC_INFO, WRITTEN
+from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import read_texts
 from feel321.protocols.threshold import MatchingBlock
-from feel321.protocols.trial import Flow
-from feel321.stimuli.formats.read import read_recording
+from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
-from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, Unread, check_names
-from feel321.stimuli.synthesis import make_scene
+from feel321.stimuli.sets import render
+from feel321.stimuli.sets.manifest import read_details
+from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_names, describe_recipe
 from feel321.study import admission
 from feel321.study.folder import SETTINGS_FILE, TEMPLATES, StudyFolder
 from feel321.study.session.journal import digest
 from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
-from feel321.study.session.ports import Surface
-from feel321.study.settings.conflicts import find_conflicts, find_mute_scales
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import (
     LANGUAGE_FILE,
-    SCENE_RATE_HZ,
     MethodTable,
     RecordingTable,
     Settings,
+    TaskTable,
 )
 from feel321.types import Metric, Reducer
 
 CONSENT = "consent"  # the page whose text a lab can set by itself
+
+MOST_TRIALS = 10_000
+"""Trials in a session; people do a few hundred, simulated participants somewhat more."""
+
+Group = tuple[tuple[Item, ...], tuple[Task, ...]]  # what its participants feel, and do
 
 
 def read_settings(path: Path, folder: Path | None = None) -> Settings:
@@ -152,72 +156,6 @@ def add_methods(study: StudyFolder) -> None:
     write_text(study.settings, text + tables)
 
 
-# Recordings.
-
-
-def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
-    """List the surfaces that participants touch or see, by the names of their recordings."""
-    return {
-        entry.title: Surface(entry.sample, folder / entry.picture if entry.picture else None)
-        for entry in settings.recordings
-    }
-
-
-def list_origins(settings: Settings) -> dict[str, str]:
-    """List what recordings were made from: one source, rotated, gives recordings that are not independent."""
-    return {
-        entry.title: f"{entry.scene} {entry.seed}" if entry.scene else entry.file or ""
-        for entry in settings.recordings
-    }
-
-
-def list_unread(settings: Settings, folder: Path) -> list[Unread]:
-    """List the recordings of a study as they are to be read."""
-    return [Unread(entry.title, _open_entry, (entry, folder)) for entry in settings.recordings]
-
-
-def try_recordings(settings: Settings, folder: Path) -> Iterator[tuple[Unread, Recording | str]]:
-    """Read each recording of a study in turn; gives its fault instead where it cannot be read."""
-    for source in list_unread(settings, folder):
-        try:
-            yield source, source.read()
-        except (OSError, TypeError, ValueError) as error:
-            yield source, f"recording {source.name!r}: {error}"
-
-
-def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
-    """Read every recording of a study; all that cannot be read are named at once."""
-    found = [one for _, one in try_recordings(settings, folder)]
-    if mistakes := [one for one in found if isinstance(one, str)]:
-        raise ValueError("\n".join(mistakes))
-    return [one for one in found if isinstance(one, Recording)]
-
-
-def _open_entry(entry: RecordingTable, folder: Path) -> Recording:
-    """Read a recording as its table says."""
-    if entry.scene:
-        rate_hz = entry.rate_hz or SCENE_RATE_HZ
-        recording = make_scene(
-            entry.scene, rng=entry.seed, rate_hz=rate_hz, duration_s=entry.duration_s
-        )
-    else:
-        own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
-        recording = read_recording(folder / (entry.file or ""), **own)
-    return recording if entry.rotation is None else turn_recording(recording, entry.rotation)
-
-
-def turn_recording(recording: Recording, rotation: int) -> Recording:
-    """Turn a recording as if its sensor had been mounted in another orientation, which the number seeds."""
-    import numpy as np
-
-    from feel321.stimuli.rotation import random_rotations
-
-    turn = random_rotations(1, np.random.default_rng(rotation))[0]
-    turned = np.einsum("ij,jn->in", turn, recording.acceleration)
-    sha256 = hashlib.sha256(f"{recording.sha256} rotation {rotation}".encode()).hexdigest()
-    return replace(recording, acceleration=turned, sha256=sha256)
-
-
 # Reducers and metrics, by the names that settings and the command line use.
 
 
@@ -323,7 +261,7 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     """Read all texts of a study, the lab's own scales and consent among them."""
     language = find_language(settings, folder)
     texts = read_texts(language)
-    if mute := list(find_mute_scales(settings, texts["scales"])):
+    if mute := list(_find_mute_scales(settings, texts["scales"])):
         raise ValueError("\n".join(f"study.toml: {line} (here, or in {language})" for line in mute))
     texts["scales"] |= {name: table.to_texts() for name, table in settings.scales.items()}
     admission.add_texts(texts, settings.session.protocols)
@@ -391,3 +329,189 @@ def make_terms(design: Design, settings: Settings, folder: Path) -> dict[str, An
     own["tasks"] = {task["protocol"]: task for task in own["tasks"]}
     identity = make_identity(settings, folder, {})
     return own | {name: identity.get(name) for name in ("locale", "texts_sha256", "rig", "methods")}
+
+
+# Whether a built set is that of the settings.
+
+
+def require_current_set(study: StudyFolder, settings: Settings) -> None:
+    """Refuse a stimulus set that is not the one of the settings."""
+    named = dict.fromkeys(entry.title for entry in settings.recordings)
+    if changes := find_changes(study.stimuli, make_recipe(settings, study.path), named):
+        remedy = f"run feel321 build {quote(str(study.path))}"
+        raise ValueError("\n".join(f"{change}; {remedy}" for change in changes))
+
+
+def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:
+    """Compare a built set with what the settings ask for.
+
+    recordings: name of each recording in the settings -> digest of its source, None where it is not known.
+    """
+    built = read_details(folder)
+    origins = {row.get("recording", ""): row.get("recording_sha256", "") for row in built.stimuli}
+    wanted, own = json.loads(json.dumps([describe_recipe(recipe), render.list_methods(recipe)]))
+    changes = list(_compare_recipes(built.recipe, wanted))
+    # The lab's own methods, and further metrics, are there where there are any.
+    methods = {kind: getattr(built, kind) for kind in ("reducers", "metrics")}
+    changes += _compare_recipes({kind: one for kind, one in methods.items() if one}, own)
+    if set(origins) != set(recordings):
+        was, named = (", ".join(sorted(names)) for names in (origins, recordings))
+        changes.append(f"recordings: built from {was}; the settings name {named}")
+    changes += [
+        f"recording {name!r}: is not the one that the set was built from"
+        for name, sha256 in recordings.items()
+        if sha256 is not None and origins.get(name, sha256) != sha256
+    ]
+    return [f"{folder}: {change}" for change in changes]
+
+
+def _compare_recipes(
+    built: Mapping[str, Any], wanted: Mapping[str, Any], *, table: str = ""
+) -> Iterator[str]:
+    for key in sorted({*built, *wanted}):
+        old, new = built.get(key), wanted.get(key)
+        if isinstance(old, dict) and isinstance(new, dict):
+            yield from _compare_recipes(old, new, table=f"{table}{key}.")
+        elif old != new:
+            yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"
+
+
+# Settings that do not go together, though each is allowed by itself.
+
+
+def find_conflicts(settings: Settings) -> list[str]:
+    """Find settings that do not go together."""
+    # A mistake is reported where it is made, not again, and less clearly, in what follows from it.
+    checks = (_check_methods, _check_stimuli, _check_tasks)
+    if found := [line for check in checks for line in check(settings)]:
+        return found
+    groups = list(_list_groups(settings))
+    found = list(dict.fromkeys(_check_comparisons(settings, groups)))
+    return found or list(_check_length(settings, groups))
+
+
+def _check_methods(settings: Settings) -> Iterator[str]:
+    """Refuse unknown metrics, and tables that would replace a method of feel321's: they would be left unread."""
+    coded = [name for name, one in settings.metrics.items() if one.use or one.command]
+    taken = {"reducers": (*REDUCERS, ORIGINAL, NO_REFERENCE), "metrics": METRICS}
+    for kind, names in (("reducers", settings.reducers), ("metrics", coded)):
+        for name in (one for one in names if one in taken[kind]):
+            yield f"{kind}.{name}: the name is taken by one of feel321's own; give yours another"
+    for name, table in settings.metrics.items():
+        if name in METRIC_INFO and table.higher not in {None, (right := METRIC_INFO[name].higher)}:
+            yield f"metrics.{name}.higher must be {right!r} for this metric, got {table.higher!r}; remove it"
+    # A lab's own is not imported yet.
+    further = [name for name in METRICS if name not in WRITTEN]
+    for number, name in enumerate(settings.stimuli.metrics, start=1):
+        if name in WRITTEN:
+            yield f"stimuli.metrics[{number}] must be a further metric, got {name!r}, which every set has; remove it"
+        elif name not in METRICS and not is_given("metric", name, settings.metrics):
+            yield refuse_name(name, further, f"stimuli.metrics[{number}]")
+
+
+def _check_stimuli(settings: Settings) -> Iterator[str]:
+    """Check that there is what is to be compared or matched."""
+    stimuli, matching = settings.stimuli, settings.session.matching
+    if (reference := stimuli.reference) in stimuli.reducers:
+        rule = "must not be one of stimuli.reducers too"
+        yield f"stimuli.reference {rule}, got {reference!r}; take it out of the reducers"
+    if matching and matching.level not in {None, *stimuli.levels}:
+        rule = f"must be one of stimuli.levels, got {matching.level!r}"
+        yield f"session.matching.level {rule}; add it there"
+    if matching and reference == NO_REFERENCE:
+        yield f"session.matching needs a reference, got stimuli.reference = {reference!r}; set another one"
+
+
+def _check_tasks(settings: Settings) -> Iterator[str]:
+    """Try each setting of a task by itself, so that every mistake is found; then all together."""
+    for name, table in settings.tasks.items():
+        alone = [TaskTable(**{key: value}) for key, value in table if key in table.model_fields_set]
+        faults = []
+        for one in (*alone, table):
+            try:
+                one.make_task(name)
+            except ValueError as error:
+                faults.append(str(error))
+        yield from dict.fromkeys(faults[:-1] or faults)
+    # Words in a file of the lab's own are found when it is read.
+    if not settings.session.language.endswith(LANGUAGE_FILE):
+        yield from _find_mute_scales(settings, read_texts(settings.session.language)["scales"])
+    places = {
+        "level": ("stimuli.levels", settings.stimuli.levels),
+        "protocol": ("session.protocols", settings.session.protocols),
+    }
+    for factor, (place, allowed) in places.items():
+        for name in settings.between.get(factor, ()):
+            if name not in allowed:
+                rule = f"must be one of {', '.join(allowed)}, got {name!r}"
+                yield f"between.{factor} {rule}; or add it to {place}"
+
+
+def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[str]:
+    """Find scales that are asked and have no words, and words for scales that are no sliders."""
+    for name in settings.scales:
+        if texts.get(name, {}).get("choices"):
+            yield f"scales.{name}: must not be set, the answer to {name} is a choice; remove it"
+    known = {*texts, *settings.scales}
+    asked = [(task, name) for task, table in settings.tasks.items() for name in table.scales]
+    for task, name in (one for one in asked if one[1] not in known):
+        near = get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}? Or " if near else ""
+        remedy = f"{hint}add [scales.{name}] with question, low and high"
+        yield f"tasks.{task}.scales: {name!r} has no words; {remedy}"
+
+
+def _list_groups(settings: Settings) -> Iterator[Group]:
+    """List the stimuli, as built from the first recording, and the tasks of the groups that differ in them."""
+    stimuli, recording = settings.stimuli, settings.recordings[0].title
+    made = [(name_of(name), "test") for name in stimuli.reducers]
+    made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
+    made += [(name, "anchor") for name in ANCHOR_NAMES] * stimuli.anchors
+    items = [
+        Item(f"{recording}-{role}-{reducer}-{level}", recording, reducer, level, role)
+        for level in stimuli.levels
+        for reducer, role in made
+    ]
+    factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
+    for levels in product(*factors.values()):
+        yield select_group(items, settings.list_tasks(), dict(zip(factors, levels, strict=True)))
+
+
+def _check_comparisons(settings: Settings, groups: list[Group]) -> Iterator[str]:
+    """Check that surfaces have names, and that the stimuli to be built are what the tasks need."""
+    tasks = dict.fromkeys(task for _, own in groups for task in own)
+    on_surfaces = [task.protocol for task in tasks if task.surface or task.reference == SURFACE]
+    for number, recording in enumerate(settings.recordings, start=1):
+        if on_surfaces and not recording.sample:
+            yield (
+                f"recordings[{number}].sample: missing, but participants touch the real surface in "
+                f"{' and '.join(on_surfaces)}; add the name that it has in the lab"
+            )
+    for items, own in groups:
+        for task in own:
+            try:
+                PROTOCOLS[task.protocol].make_lessons(items, task)
+                PROTOCOLS[task.protocol].compare(items, task)
+            except (TypeError, ValueError) as error:
+                yield f"tasks.{task.protocol}: {error}"
+
+
+def _check_length(settings: Settings, groups: list[Group]) -> Iterator[str]:
+    """Count the trials of each group, which are as many for each recording."""
+    everything, share = len(settings.recordings), settings.session.recordings_per_participant
+    if share and share > everything:
+        yield (
+            f"session.recordings_per_participant must be at most the {everything} recordings of the study, "
+            f"got {share}; leave it out, and everybody feels them all"
+        )
+    counts = [
+        sum(len(PROTOCOLS[task.protocol].compare(items, task)) for task in own)
+        for items, own in groups
+    ]
+    repeats = settings.session.repeats
+    if (trials := max(counts) * repeats * (share or everything)) > MOST_TRIALS:
+        yield (
+            f"a session must have at most {MOST_TRIALS} trials, got {trials} with session.repeats = {repeats}; use "
+            "fewer repeats, reducers or recordings, or let each participant feel a share of them: "
+            "session.recordings_per_participant"
+        )

@@ -172,7 +172,7 @@ def test_the_gauge_of_shuffled_ratings_is_uniform() -> None:
         (lambda table: table.iloc[:0], None, "got no row"),
         (lambda table: table.assign(rating=table["rating"] + 1), None, "between 0 and 100, got 12 ratings such as 10"),
         (lambda table: table.assign(rating=np.nan), None, "ratings such as nan"),
-        (lambda table: table.assign(participant=None), None, "rows without a participant"),
+        (lambda table: table.assign(participant=None), None, "must name a participant in each row, got 280 without"),
         (lambda table: table, ["mid"], "one of hidden_reference.* got 'mid'"),
         (lambda table: table, [], "got no rule"),
         (lambda table: table, [EXPERTISE], "without 'expertise', or with rng"),

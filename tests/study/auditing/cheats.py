@@ -314,9 +314,7 @@ CHEATS: dict[str, Cheat] = {
         edit("rated", lambda data: data.update(response_time_s=data["response_time_s"] + 1.5)),
         mend=True,
     ),
-    "a rating is marked as rejected": Cheat(
-        edit("rated", lambda data: data.update(rejected=True)), mend=True
-    ),
+    "a rating is marked as rejected": Cheat(edit("rated", lambda data: data.update(rejected=True)), mend=True),
     "the flags of an answer are changed": Cheat(
         edit("rated", lambda data: data.update(flags=["underrun"])), mend=True
     ),
@@ -332,9 +330,7 @@ CHEATS: dict[str, Cheat] = {
     "a note is put in": Cheat(append("note", {"text": "was tired"}), mend=True),
     "a finished session is shown as released": Cheat(append("released", {}), mend=True),
     "the last lines of a journal are cut off": Cheat(cut, mend=True),
-    "a journal is cut, as if a crash had torn it": Cheat(
-        lambda study: cut(study, b'{"sequence": 9'), mend=True
-    ),
+    "a journal is cut, as if a crash had torn it": Cheat(lambda study: cut(study, b'{"sequence": 9'), mend=True),
     "a journal is emptied": Cheat(lambda study: journal(study).write_bytes(b""), mend=True),
     "a journal is removed": Cheat(remove("sessions/sim001/session-01.jsonl")),
     "a participant is removed everywhere": Cheat(remove("sessions/sim002"), mend=True),
@@ -343,9 +339,7 @@ CHEATS: dict[str, Cheat] = {
     "two participants exchange their journals": Cheat(
         exchange("sim001/session-01.jsonl", "sim002/session-01.jsonl"), mend=True
     ),
-    "a session is copied under another code": Cheat(
-        lambda study: copy_as(study, "sim002", "sim009", 9), mend=True
-    ),
+    "a session is copied under another code": Cheat(lambda study: copy_as(study, "sim002", "sim009", 9), mend=True),
     "a participant's folder is a link": Cheat(link, is_data=False),
     "a second session is put beside the first": Cheat(
         lambda study: shutil.copy(journal(study), journal(study).with_name("session-02.jsonl"))
@@ -375,25 +369,15 @@ CHEATS: dict[str, Cheat] = {
     "a cell of ratings.csv is edited": Cheat(set_cell("ratings.csv", "rating", "99.5", 3)),
     "the slowest tenth of ratings.csv is left out": Cheat(edit_table("ratings.csv", drop_slowest)),
     "the last row of ratings.csv is left out": Cheat(edit_table("ratings.csv", list.pop)),
-    "a row of ratings.csv stands there twice": Cheat(
-        edit_table("ratings.csv", lambda rows: rows.append(rows[2]))
-    ),
-    "a threshold in participants.csv is edited": Cheat(
-        set_cell("participants.csv", "threshold_db", "-31.5")
-    ),
+    "a row of ratings.csv stands there twice": Cheat(edit_table("ratings.csv", lambda rows: rows.append(rows[2]))),
+    "a threshold in participants.csv is edited": Cheat(set_cell("participants.csv", "threshold_db", "-31.5")),
     "an age in answers.csv is edited": Cheat(set_cell("answers.csv", "answer", "17")),
     "a number in results.json is edited": Cheat(edit_number),
-    "a number is edited after an analysis that was killed": Cheat(
-        kill_analysis_and_edit, is_data=False
-    ),
+    "a number is edited after an analysis that was killed": Cheat(kill_analysis_and_edit, is_data=False),
     "the page of the report is edited": Cheat(replace_text("report/index.html", "<h1", "<h1 ")),
     "a table of the report is edited": Cheat(replace_text("report/tables/*.csv", "1", "2")),
-    "a match in manifest.csv is edited": Cheat(
-        set_cell("stimuli/manifest.csv", "spectral_match", "0.99")
-    ),
-    "the units in manifest.json are edited": Cheat(
-        replace_text("stimuli/manifest.json", "m/s", "g")
-    ),
+    "a match in manifest.csv is edited": Cheat(set_cell("stimuli/manifest.csv", "spectral_match", "0.99")),
+    "the units in manifest.json are edited": Cheat(replace_text("stimuli/manifest.json", "m/s", "g")),
     "a WAV is exchanged everywhere": Cheat(exchange_wave_everywhere, mend=True),
     "settings of the analysis are changed afterwards": Cheat(
         replace_text("study.toml", "draws = 100", "draws = 51\nmargin = 20.0")
@@ -401,19 +385,13 @@ CHEATS: dict[str, Cheat] = {
     "the texts of participants are changed afterwards": Cheat(
         replace_text("texts.toml", "#", "# changed\n#")
     ),
-    "the code of a metric is changed afterwards": Cheat(
-        replace_text("methods/strict.py", "0.5", "0.05")
-    ),
+    "the code of a metric is changed afterwards": Cheat(replace_text("methods/strict.py", "0.5", "0.05")),
     "the rig's full scale is changed afterwards": Cheat(
         replace_text("rig.toml", "full_scale_m_s2 = 500.0", "full_scale_m_s2 = 250.0"),
         is_real=True,
     ),
-    "a certificate is exchanged": Cheat(
-        replace_text("calibration/*.json", "2026", "2025"), is_real=True
-    ),
-    "a delivered recording is exchanged, with its digest": Cheat(
-        exchange_delivered, mend=True, is_real=True
-    ),
+    "a certificate is exchanged": Cheat(replace_text("calibration/*.json", "2026", "2025"), is_real=True),
+    "a delivered recording is exchanged, with its digest": Cheat(exchange_delivered, mend=True, is_real=True),
 }  # fmt: skip
 
 

@@ -121,20 +121,14 @@ def edit_rest(records: list[Record]) -> list[Record]:
 
 
 FORGED: dict[str, tuple[int | None, Callable[[list[Record]], list[Record]]]] = {
-    "a page after the end": (
-        81,
-        lambda r: put(r, len(r), "page", key="end", time_s=1.0, stood_s=1.0),
-    ),
+    "a page after the end": (81, lambda r: put(r, len(r), "page", key="end", time_s=1.0, stood_s=1.0)),
     "resumed after the end": (81, lambda r: put(r, len(r), "resumed")),
     "begun twice": (4, lambda r: put(r, 3, "begun", **r[0].data)),
     "no header": (1, lambda r: r[1:]),
     "an event that is none": (4, lambda r: put(r, 3, "noted")),
     "resumed after released": (5, lambda r: put(put(r, 3, "released"), 4, "resumed")),
     "resumed after superseded": (5, lambda r: put(put(r, 3, "superseded", by=2), 4, "resumed")),
-    "gone on without being resumed": (
-        9,
-        lambda r: put(r, find_place(r, "rated"), "aborted", reason="", time_s=1.0),
-    ),
+    "gone on without being resumed": (9, lambda r: put(r, find_place(r, "rated"), "aborted", reason="", time_s=1.0)),
     "not shown": (6, lambda r: drop(r, find_place(r, "shown"))),
     "another trial shown": (6, lambda r: edit(r, "shown", trial=2)),
     "another trial rated": (8, lambda r: edit(r, "rated", trial=2)),
@@ -174,7 +168,7 @@ FORGED: dict[str, tuple[int | None, Callable[[list[Record]], list[Record]]]] = {
         lambda r: put(r, 3, "page", key="ready", time_s=1.0, stood_s=1.0),
     ),
     "a rest cut short": (None, edit_rest),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("what", FORGED)

@@ -13,6 +13,7 @@ import pytest
 from feel321.files import digest_file
 from feel321.study.auditing.study import audit_journals, audit_study, examine
 from feel321.study.folder import StudyFolder
+from feel321.study.people import write_roster
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session import events
 from feel321.study.session.journal import create_journal, read_journal, utc_now
@@ -104,6 +105,11 @@ def rate_twice(study: StudyFolder) -> None:
     chain(study.journals[0], [*records[:9], *records[8:]])
 
 
+def lose_journal(study: StudyFolder) -> None:
+    write_roster(study)
+    (study.sessions / "sim001" / "session-01.jsonl").unlink()
+
+
 def copy_as(study: StudyFolder, old: str, new: str) -> None:
     place = shutil.copytree if (study.sessions / old).is_dir() else shutil.copy
     place(study.sessions / old, study.sessions / new)
@@ -153,31 +159,23 @@ CHANGES: dict[str, tuple[Callable[[StudyFolder], object], list[str]]] = {
         lambda s: s.manifest.write_text("a", encoding="utf-16"),
         ["{study}/stimuli/manifest.csv, line 1: the text is in UTF-16"],
     ),
-    "no manifest": (
-        lambda s: (s.stimuli / "manifest.json").unlink(),
-        ["{study}/stimuli/manifest.json: "],
-    ),
+    "a journal that is gone": (lose_journal, ["{study}/participants.csv, line 2: last_utc is "]),
+    "no manifest": (lambda s: (s.stimuli / "manifest.json").unlink(), ["{study}/stimuli/manifest.json: "]),
     "a stimulus set that nobody was planned with": (
         lambda s: s.manifest.write_bytes(s.manifest.read_bytes().replace(b"\r\n", b"\n")),
         ["{sim001}/plan.json: names another stimulus set than the one that is built"],
     ),
-    "a rating that stands there twice": (
-        rate_twice,
-        ["{sim001}/session-01.jsonl, line 10: holds 'rated', by "],
-    ),
+    "a rating that stands there twice": (rate_twice, ["{sim001}/session-01.jsonl, line 10: holds 'rated', by "]),
     "time that runs backwards": (
         make_time_run_backwards,
         ["{sim001}/session-01.jsonl, line 5: is older than the line before"],
     ),
-    "what lies beside a tombstone": (
-        bring_back,
-        ["{study}/sessions/sim002/plan.json: lies beside a tombstone"],
-    ),
+    "what lies beside a tombstone": (bring_back, ["{study}/sessions/sim002/plan.json: lies beside a tombstone"]),
     "a stranger": (
         lambda s: copy_as(s, "sim002", "sim001 backup"),
         ["{study}/sessions/sim001 backup: not a participant's folder"],
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("what", CHANGES)

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from feel321.study.settings.conflicts import find_conflicts
-from feel321.study.settings.read import read_settings
+from feel321.study.settings.read import find_conflicts, read_settings
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
 TWO = '[[recordings]]\nscene = "bumps"\nsample = "ridges"\n[[recordings]]\nscene = "hard_taps"\n'
@@ -30,7 +29,7 @@ WHOLE = (
     ("a = " + "[" * 99999, "nested too deeply; use fewer levels"),
     (f"[{'.'.join('a' * 3000)}]", "nested too deeply; use fewer levels"),
     (SHORTEST + f"[between]; a = {TEN}; b = {TEN}", "at most 64 groups, got 100; use fewer"),
-)
+)  # fmt: skip
 """Whole files, with ; between their lines."""
 
 ADDED = (
@@ -64,14 +63,8 @@ ADDED = (
     ("[between]; Rating = ['a']", "Rating must not be a column of participants.csv or ratings.csv"),
     ("[stations]; this = 3; of = 2", "stations: this must be 1 to 2, got 3"),
     ("[publication]; released = 'May'", "publication.released must be a day such as '2026-11-23'"),
-    (
-        "[[session.questions]]; name = 'q'; kind = 'text'",
-        "session.questions[1].question: missing; add",
-    ),
-    (
-        f"{ASK}kind = 'text'; personel = true",
-        "questions[1].personel: unknown setting; did you mean p",
-    ),
+    ("[[session.questions]]; name = 'q'; kind = 'text'", "session.questions[1].question: missing; add"),
+    (f"{ASK}kind = 'text'; personel = true", "questions[1].personel: unknown setting; did you mean p"),
     (f"{ASK}kind = 'choise'", "session.questions[1].kind must be one of choice, number, text, l"),
     (f"{ASK}kind = 'choice'", "session.questions[1]: options must be 2 to 9 texts for kind"),
     (f"{ASK}kind = 'text'; high = 3", "low and high must not be numbers for kind 'text'"),
@@ -93,19 +86,10 @@ ADDED = (
     ),
     ("[session.stale]; policy = 'wait'", "session.stale.policy must be one of warm_up, continue,"),
     ("[session.stale]; after_h = 'never'", 'after_h must be a valid number or "off", got'),
-    (
-        "[stimuli.conditioning]; low_pass = 9.0",
-        "conditioning.low_pass: unknown setting; did you mean",
-    ),
-    (
-        "[stimuli.conditioning]; low_pass_hz = 9.0",
-        "high_pass_hz must be below low_pass_hz, 9.0; got",
-    ),
-    (
-        f"{CLAIM}measure = 'slope'; paper = {{ value = 0.5, low = 0.6, high = 0.8 }}",
-        "in that order",
-    ),
-)
+    ("[stimuli.conditioning]; low_pass = 9.0", "conditioning.low_pass: unknown setting; did you mean"),
+    ("[stimuli.conditioning]; low_pass_hz = 9.0", "high_pass_hz must be below low_pass_hz, 9.0; got"),
+    (f"{CLAIM}measure = 'slope'; paper = {{ value = 0.5, low = 0.6, high = 0.8 }}", "in that order"),
+)  # fmt: skip
 """What is added to the shortest study, with ; between its lines, and what is said of it."""
 
 TOGETHER = (
@@ -113,29 +97,20 @@ TOGETHER = (
     ("[tasks.realism]; reference = 'original'", "tasks.realism.reference must not be set, got 'o"),
     ("[tasks.abx]; surface = true", "tasks.abx.surface must be false, got true"),
     ("[tasks.realism]; surface = true", "recordings[2].sample: missing, but participants touch"),
-    (
-        "[reducers.dft321]; command = './mine {input} {output}'",
-        "reducers.dft321: the name is taken",
-    ),
+    ("[reducers.dft321]; command = './mine {input} {output}'", "reducers.dft321: the name is taken"),
     ("[metrics.st_sim]; use = 'mylab:st_sim'", "metrics.st_sim: the name is taken by one of"),
     ("[metrics.level_difference]; higher = 'better'", "metrics.level_difference.higher must be 'w"),
     ("[stimuli]; metrics = ['temporal_match']", "stimuli.metrics[1] must be a further metric"),
     ("[stimuli]; metrics = ['st_sym']", "stimuli.metrics[1] must be one of"),
-    (
-        "[stimuli]; reference = 'dft321'",
-        "stimuli.reference must not be one of stimuli.reducers too",
-    ),
+    ("[stimuli]; reference = 'dft321'", "stimuli.reference must not be one of stimuli.reducers too"),
     ("[session.matching]; level = 'equal_intensity'", "session.matching.level must be one of"),
     ("[session]; repeats = 400", "a session must have at most 10000 trials, got 19200 with"),
     ("[session]; recordings_per_participant = 3", "session.recordings_per_participant must be at"),
     ("[between]; level = ['equal_intensity']", "between.level must be one of as_is, got 'equal_in"),
     ("[between]; protocol = ['abx']", "between.protocol must be one of realism, similarity, got"),
     ("[tasks.similarity]; reference = 'dft'", "tasks.similarity: recording 'bumps', level 'as_is'"),
-    (
-        "[stimuli]; reference = 'none'",
-        "tasks.similarity: recording 'bumps', level 'as_is' must have",
-    ),
-)
+    ("[stimuli]; reference = 'none'", "tasks.similarity: recording 'bumps', level 'as_is' must have"),
+)  # fmt: skip
 """What is allowed by itself, but not together."""
 
 FINE = (

@@ -16,7 +16,6 @@ from feel321.protocols.texts import CATALOG, Question, make_scales, read_texts
 from feel321.protocols.trial import Flow
 from feel321.stimuli.condition import Conditioning
 from feel321.stimuli.recording import Recording
-from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.stimuli.wav import write_wav
@@ -29,16 +28,13 @@ from feel321.study.session.plan import Design, Stale
 from feel321.study.session.ports import Surface
 from feel321.study.settings.read import (
     find_language,
-    list_surfaces,
     make_design,
     make_recipe,
-    open_recordings,
     read_settings,
     read_study_texts,
-    turn_recording,
 )
+from feel321.study.settings.recordings import list_surfaces, open_recordings, turn_recording
 from feel321.study.settings.schema import Settings
-from feel321.study.workflow import build_study, check_study
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
 SCENE = '[[recordings]]\nscene = "bumps"\nduration_s = 0.5\n'
@@ -201,7 +197,7 @@ def test_every_reading_option_reaches_the_reader(
         calls.append((path, options))
         return Recording(np.ones((3, 9)), 1000.0, "x")
 
-    monkeypatch.setattr("feel321.study.settings.read.read_recording", read_recording)
+    monkeypatch.setattr("feel321.study.settings.recordings.read_recording", read_recording)
     text = "unit = 'g'\nrate_hz = 50.0\ncolumns = ['x', 1, 2]\nfull_scale = 16.0\nresample = true"
     settings = read(f"[[recordings]]\nfile = 'a.wav'\nname = 'oak'\n{text}")
     assert [one.name for one in open_recordings(settings, tmp_path)] == ["oak"]
@@ -235,20 +231,6 @@ def test_a_recording_is_named_after_its_orientation_unless_it_has_a_name(
     assert [recording.name for recording in recordings] == ["bumps", "bumps-r0", "bumps-r1", "b"]
     same = [np.array_equal(a.acceleration, b.acceleration) for a, b in pairwise(recordings)]
     assert same == [False, False, True]
-
-
-def test_another_orientation_makes_the_set_stale_until_it_is_built_again(
-    study: StudyFolder,
-) -> None:
-    study.settings.write_text(f'{SCENE}name = "b"\nrotation = 1\n', encoding="utf-8")
-    _, first = build_study(study)
-    assert list(check_study(study).problems) == []
-    study.settings.write_text(f'{SCENE}name = "b"\nrotation = 2\n', encoding="utf-8")
-    (problem,) = check_study(study).problems
-    assert "recording 'b': is not the one that the set was built from" in problem
-    build_study(study)
-    second = read_stimuli(study.stimuli)
-    assert {row.sha256 for row in first.stimuli}.isdisjoint(row.sha256 for row in second.stimuli)
 
 
 def test_surfaces_are_found_by_the_names_that_trials_know_them_by(study: StudyFolder) -> None:
