@@ -56,9 +56,9 @@ class Workers:
 ALONE = Workers()  # this process only
 
 
-def as_workers(workers: int | Workers) -> Workers:
-    """Take a number of processes for that many workers."""
-    return Workers(workers) if isinstance(workers, int) else workers
+def as_workers(workers: int | Workers, scheduler: str = "") -> Workers:
+    """Take a number of processes, or the address of a cluster, for those who do the work."""
+    return Workers(workers, scheduler) if isinstance(workers, int) else workers
 
 
 def run_jobs(

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from feel321.study import options
     from feel321.study.session.ports import Place
+    from feel321.study.settings.schema import Settings
     from feel321.study.status import Status
 
 
@@ -20,50 +21,51 @@ if TYPE_CHECKING:
 class Laboratory(OpenStudy):
     """The verbs of a study that need its people or its rig; see `Study`."""
 
-    def calibrate(
-        self, *, device: options.Name = None, manual: options.Gains = (), redesign: bool = False
-    ) -> Outcome:
-        """Measure the coils of the rig and make filters for them.
+    @property
+    def settings(self) -> Settings:
+        """What `study.toml` says now, checked, with every default."""
+        from feel321.study.settings.read import read_settings
 
-        Plays sweeps on one coil after another, recorded by the sensor of rig.toml; proposes the band and the gain of
-        each filter, says what that costs in level, and asks; verifies the filters by playing through them, and stores a
-        certificate, of which run uses the newest that is valid. Ctrl-C stops; coils that are done are kept. The exit
-        code is 1 if the limits of [calibration] in rig.toml are not met; run then does not use the certificate.
+        return read_settings(self.folder.settings)
 
-        Example: feel321 calibrate my-study
+    def freeze(self, *, show: bool = False) -> Outcome:
+        """Freeze hypotheses, design and analysis before the first session of a person.
 
-        Parameters
-        ----------
-        device : str, optional
-            Device instead of the rig's: its name, or a unique part of it.
-        manual : sequence of str
-            Type a gain instead of measuring, in m/s² at full scale; once for each.
-        redesign : bool
-            From the stored sweeps, without playing.
-        """
-        from feel321.study.calibrating import calibrate_rig
+        Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
+        confirmatory or exploratory, and names every setting that was changed. It may be written again until a person's
+        session has begun. No rating is shown.
 
-        return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
-
-    def doctor(self, *, device: options.Name = None, seconds: options.Seconds = 5.0) -> Outcome:
-        """Test the rig: list devices, measure latency and jitter, try each coil.
-
-        Plays quiet pulses on every actuator, through the same stream as in a session, and, with a sensor, a probe on
-        each coil: by name, what is dead, inverted, swapped, loose or too strong against the certificate or rig.toml, a
-        wrong rate, a missing channel, hum; the exit code is then 1. Without a study, --device names what to play on.
-
-        Example: feel321 doctor my-study --seconds 10
+        Example: feel321 freeze my-study
+                 feel321 freeze my-study --show
 
         Parameters
         ----------
-        device : str, optional
-            Device instead of the rig's: its name, or a unique part of it.
-        seconds : float
-            Duration of the pulse train, in s.
+        show : bool
+            Only show what is frozen and what changed.
         """
-        from feel321.study.calibrating import examine_study_rig
+        from feel321.study import freeze
+        from feel321.study.session.opening import FROZEN_FILE
+        from feel321.study.terminal import lay_facts
 
-        return examine_study_rig(self, device=device, seconds=seconds)
+        folder = self.folder
+        if show:
+            frozen = freeze.read_frozen(folder)
+            changes = freeze.list_changes(folder, self.settings, frozen) if frozen else {}
+        else:
+            frozen, changes = freeze.freeze_study(folder, now=self.now)
+        faults = freeze.find_faults(folder)
+        for fault in faults:
+            self.say(fault)
+        lines = [f"{folder.path}: nothing is frozen; before the first session: feel321 freeze"]
+        if frozen is not None:
+            lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
+        if frozen is not None and show:
+            own = {"hypotheses": frozen.hypotheses, "settings": frozen.settings}
+            lines += lay_facts(own)
+        if changes:
+            lines += ["changed:", *(f"  {one}" for one in changes.values())]
+        facts = {"frozen": frozen and asdict(frozen), "changes": [*changes.values()]}
+        return Outcome({**facts, "faults": faults}, lines)
 
     def run(  # noqa: PLR0913 - one parameter per option
         self,
@@ -137,17 +139,24 @@ class Laboratory(OpenStudy):
         """
         import pandas as pd
 
+        self.lead_simulated(participants, rng)
+        return pd.read_csv(self.folder.ratings)
+
+    def lead_simulated(
+        self, participants: options.People = 16, rng: options.Seed = None
+    ) -> tuple[int, int]:
+        """Do as `simulate`, without pandas, which takes a second to import; count participants and ratings."""
         from feel321.study.simulation import simulate_study
 
         if participants < 1:
             raise ValueError(f"participants must be 1 or more, got {participants}")
         seed = None if rng is None else as_seed(rng)
         with follow(self.progress, "simulate") as step:
-            simulate_study(
+            rows = simulate_study(
                 self.folder, participants=participants, seed=seed, now=self.now, progress=step,
                 warn=self.say,
             )  # fmt: skip
-        return pd.read_csv(self.folder.ratings)
+        return participants, rows
 
     def status(
         self, *, notes: bool = False, watch: options.Page | None = None, rehearsals: bool = False
@@ -166,6 +175,7 @@ class Laboratory(OpenStudy):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
+        from feel321.study.freeze import describe_frozen
         from feel321.study.status import read_status, watch_study
 
         folder = self.choose(rehearsals)
@@ -178,7 +188,9 @@ class Laboratory(OpenStudy):
             with recording_output(folder, "status", page, now=self.now):
                 watch_study(folder, page, now=self.now)
         with follow(self.progress, "status") as step:
-            return replace(read_status(folder, progress=step), shows_notes=notes)
+            found = read_status(folder, progress=step)
+        frozen = "" if rehearsals else describe_frozen(folder)
+        return replace(found, frozen=frozen, shows_notes=notes)
 
     def note(
         self, text: options.Text, *, participant: options.Code, rehearsals: bool = False

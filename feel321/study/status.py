@@ -21,7 +21,6 @@ from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import minutes
-from feel321.study.freeze import describe_frozen
 from feel321.study.people import LOCK_FILE, Progress, describe_rigs, make_progress
 from feel321.study.session.events import (
     DeviceFailed,
@@ -212,9 +211,8 @@ def read_status(
     """Read the progress of a study, also while sessions run."""
     watch = Watch(study)
     entries, length = watch.look(progress)
-    frozen = "" if study.is_rehearsal else describe_frozen(study)
     run = [(dossier, trials) for dossier, _, trials in watch.known.values()]
-    return Status(tuple(entries), measure_realised(run), length, frozen)
+    return Status(tuple(entries), measure_realised(run), length)
 
 
 def watch_study(study: StudyFolder, page: Path, *, now: Clock) -> None:

@@ -7,14 +7,26 @@ of these methods: their options from the signatures, their help from the docstri
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Self
 
+from feel321 import intake
 from feel321.doors import as_path, follow
-from feel321.jobs import Workers
-from feel321.study.folder import Outcome, Problems, UsageError, create_study, require_study
+from feel321.jobs import as_workers
+from feel321.study.folder import (
+    Outcome,
+    Problems,
+    StudyFolder,
+    UsageError,
+    create_study,
+    read_template,
+    require_study,
+)
 from feel321.study.laboratory import Laboratory
+from feel321.study.terminal import echo, wants_bar, warn
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -26,13 +38,7 @@ if TYPE_CHECKING:
     from feel321.study import options
     from feel321.study.folder import Audit, Seal
     from feel321.study.power import StudyPower
-    from feel321.study.settings.schema import Settings
     from feel321.types import PathLike, Progress
-
-
-def hire(workers: int | Workers, scheduler: str) -> Workers:
-    """Take a number of processes, or the address of a cluster, for those who do the work."""
-    return Workers(workers, scheduler) if isinstance(workers, int) else workers
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -140,7 +146,7 @@ class Study(Laboratory):
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(
-                self.folder, workers=hire(workers, scheduler), progress=step
+                self.folder, workers=as_workers(workers, scheduler), progress=step
             )
         noticed = [f"{one.name}: {text}" for one in facts for text in one.warnings]
         for text in (*noticed, *find_copies(facts)):
@@ -223,49 +229,55 @@ class Study(Laboratory):
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
                 keep=target / power.KEPT,
-                workers=hire(workers, scheduler),
+                workers=as_workers(workers, scheduler),
                 progress=step,
             )
             return replace(found, path=found.write(target).parent)
 
-    def freeze(self, *, show: bool = False) -> Outcome:
-        """Freeze hypotheses, design and analysis before the first session of a person.
+    def calibrate(
+        self, *, device: options.Name = None, manual: options.Gains = (), redesign: bool = False
+    ) -> Outcome:
+        """Measure the coils of the rig and make filters for them.
 
-        Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
-        confirmatory or exploratory, and names every setting that was changed. It may be written again until a person's
-        session has begun. No rating is shown.
+        Plays sweeps on one coil after another, recorded by the sensor of rig.toml; proposes the band and the gain of
+        each filter, says what that costs in level, and asks; verifies the filters by playing through them, and stores a
+        certificate, of which run uses the newest that is valid. Ctrl-C stops; coils that are done are kept. The exit
+        code is 1 if the limits of [calibration] in rig.toml are not met; run then does not use the certificate.
 
-        Example: feel321 freeze my-study
-                 feel321 freeze my-study --show
+        Example: feel321 calibrate my-study
 
         Parameters
         ----------
-        show : bool
-            Only show what is frozen and what changed.
+        device : str, optional
+            Device instead of the rig's: its name, or a unique part of it.
+        manual : sequence of str
+            Type a gain instead of measuring, in m/s² at full scale; once for each.
+        redesign : bool
+            From the stored sweeps, without playing.
         """
-        from feel321.study import freeze
-        from feel321.study.session.opening import FROZEN_FILE
-        from feel321.study.terminal import lay_facts
+        from feel321.study.calibrating import calibrate_rig
 
-        folder = self.folder
-        if show:
-            frozen = freeze.read_frozen(folder)
-            changes = freeze.list_changes(folder, self.settings, frozen) if frozen else {}
-        else:
-            frozen, changes = freeze.freeze_study(folder, now=self.now)
-        faults = freeze.find_faults(folder)
-        for fault in faults:
-            self.say(fault)
-        lines = [f"{folder.path}: nothing is frozen; before the first session: feel321 freeze"]
-        if frozen is not None:
-            lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
-        if frozen is not None and show:
-            own = {"hypotheses": frozen.hypotheses, "settings": frozen.settings}
-            lines += lay_facts(own)
-        if changes:
-            lines += ["changed:", *(f"  {one}" for one in changes.values())]
-        facts = {"frozen": frozen and asdict(frozen), "changes": [*changes.values()]}
-        return Outcome({**facts, "faults": faults}, lines)
+        return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
+
+    def doctor(self, *, device: options.Name = None, seconds: options.Seconds = 5.0) -> Outcome:
+        """Test the rig: list devices, measure latency and jitter, try each coil.
+
+        Plays quiet pulses on every actuator, through the same stream as in a session, and, with a sensor, a probe on
+        each coil: by name, what is dead, inverted, swapped, loose or too strong against the certificate or rig.toml, a
+        wrong rate, a missing channel, hum; the exit code is then 1. Without a study, --device names what to play on.
+
+        Example: feel321 doctor my-study --seconds 10
+
+        Parameters
+        ----------
+        device : str, optional
+            Device instead of the rig's: its name, or a unique part of it.
+        seconds : float
+            Duration of the pulse train, in s.
+        """
+        from feel321.study.calibrating import examine_study_rig
+
+        return examine_study_rig(self, device=device, seconds=seconds)
 
     def analyze(
         self,
@@ -419,13 +431,6 @@ class Study(Laboratory):
         facts = {"folder": str(path), "kind": "R" if for_r else "BIDS", "warnings": notices}
         return Outcome(facts, [f"{path}: {step}"])
 
-    @property
-    def settings(self) -> Settings:
-        """What `study.toml` says now, checked, with every default."""
-        from feel321.study.settings.read import read_settings
-
-        return read_settings(self.folder.settings)
-
     def with_settings(self, changes: Mapping[str, object]) -> Self:
         """Change settings in `study.toml`, which keeps its comments; a wrong one changes nothing.
 
@@ -469,3 +474,81 @@ class Study(Laboratory):
     def __repr__(self) -> str:
         """Write what a user would write to open it."""
         return f"{type(self).__name__}.open({str(self.folder.path)!r})"
+
+
+# Verbs that begin a study.
+
+DEMO_PARTICIPANTS = 16
+
+
+def new(
+    folder: options.Folder | None = None,
+    /,
+    *,
+    study: options.Ready = None,
+    methods: bool = False,
+    all_settings: bool = False,
+) -> None:
+    """Begin a study: a commented study.toml, ready to use.
+
+    Example: feel321 new my-study
+             feel321 new my-study --study park2019
+             feel321 new --all-settings
+
+    Parameters
+    ----------
+    folder : str or path, optional
+        The folder of the study.
+    study : str, optional
+        A ready study.
+    methods : bool
+        Also examples of your own methods, in methods/.
+    all_settings : bool
+        Only print every setting.
+    """
+    if all_settings:
+        from feel321.study.all_settings import FILES, write_list
+
+        echo("\n".join(map(write_list, FILES)).rstrip("\n"))
+    elif folder is None:
+        raise UsageError("name the folder of the new study")
+    elif study and methods:
+        raise UsageError("--methods adds to a study of your own; leave out --study")
+    else:
+        made = Study.create(folder, like=study, methods=methods).folder
+        echo(f"{made.settings}: edit it, then: feel321 check {quote(str(folder))}")
+
+
+def demo(*, out: options.Target = Path("demo-study")) -> None:
+    """Run a whole study with simulated participants.
+
+    Example: feel321 demo --out demo-study
+
+    Parameters
+    ----------
+    out : str or path
+        Folder of the study.
+    """
+    from feel321.study.observer.model import NUMBERED
+
+    folder = StudyFolder(as_path(out))
+    if not folder.path.exists() or not any(folder.path.iterdir()):
+        create_study(folder.path)
+    # What is anything but the demonstration is left alone.
+    people = [entry.name for entry in folder.participants if not NUMBERED.fullmatch(entry.name)]
+    refusal = ""
+    if not folder.settings.is_file():
+        refusal = f"{folder.path}: holds files that demo did not write"
+    elif intake.read_small(folder.settings) != read_template():
+        refusal = f"{folder.settings}: edited, or written by another version of feel321"
+    elif people:
+        refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"
+    if refusal:
+        raise FileExistsError(f"{refusal}; name another folder with --out")
+    study = Study(folder, wants_bar(), warn=warn)
+    stimuli = study.build()
+    echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
+    rows = len(study.simulate(DEMO_PARTICIPANTS))
+    echo(f"{folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
+    study.analyze()
+    echo(folder.report / "index.html")

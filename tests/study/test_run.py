@@ -350,11 +350,6 @@ def test_new_keeps_a_rig_that_is_there(tmp_path: Path) -> None:
     assert create_study(tmp_path).rig.read_text(encoding="utf-8") == "mine"
 
 
-def test_people_have_no_seed(ready: StudyFolder, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["run", str(ready.path), "--participant", "p01", "--seed", "1"]) == 2
-    assert "--seed needs --simulate-participant" in capsys.readouterr().err
-
-
 def test_the_clock_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([100.0, 100.5])
     monkeypatch.setattr(lab, "perf_counter", lambda: next(times))
