@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 
 SPECTRAL, TEMPORAL = "spectral_match", "temporal_match"
+REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr, "kendall": stats.kendalltau}
+WITHIN = {"within": "pearson", "within_spearman": "spearman", "within_kendall": "kendall"}
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -36,25 +38,16 @@ def rng(seed: int = 1) -> np.random.Generator:
 
 def item_means(table: pd.DataFrame) -> pd.DataFrame:
     tests = table[table["role"] == "test"]
-    cells = (
-        tests.groupby(["stimulus_id", "participant"])["rating"].mean().groupby("stimulus_id").mean()
-    )
-    return (
-        tests
-        .drop_duplicates("stimulus_id")
-        .set_index("stimulus_id")[[SPECTRAL, TEMPORAL]]
-        .assign(mean=cells)
-    )
+    cells = tests.groupby(["stimulus_id", "participant"])["rating"].mean()
+    metrics = tests.drop_duplicates("stimulus_id").set_index("stimulus_id")[[SPECTRAL, TEMPORAL]]
+    return metrics.assign(mean=cells.groupby("stimulus_id").mean())
 
 
-@pytest.mark.parametrize(
-    ("method", "reference"),
-    [("pearson", stats.pearsonr), ("spearman", stats.spearmanr), ("kendall", stats.kendalltau)],
-)
+@pytest.mark.parametrize("method", REFERENCE)
 def test_value_is_the_correlation_of_item_means(
-    tidy: Callable[..., pd.DataFrame], method: str, reference: Callable[..., object]
+    tidy: Callable[..., pd.DataFrame], method: str
 ) -> None:
-    table = tidy()
+    table, reference = tidy(), REFERENCE[method]
     means = item_means(table)
     found = correlate(table, SPECTRAL, method=method, draws=20, rng=rng())
     assert found.value == pytest.approx(
@@ -63,18 +56,11 @@ def test_value_is_the_correlation_of_item_means(
     assert (found.n_items, found.n_participants, found.n_recordings) == (36, 6, 4)
 
 
-@pytest.mark.parametrize(
-    ("method", "reference"),
-    [
-        ("within", stats.pearsonr),
-        ("within_spearman", stats.spearmanr),
-        ("within_kendall", stats.kendalltau),
-    ],
-)
+@pytest.mark.parametrize("method", WITHIN)
 def test_within_is_the_average_over_recordings(
-    tidy: Callable[..., pd.DataFrame], method: str, reference: Callable[..., object]
+    tidy: Callable[..., pd.DataFrame], method: str
 ) -> None:
-    table = tidy(noise=25)
+    table, reference = tidy(noise=25), REFERENCE[WITHIN[method]]
     groups = item_means(table).groupby(lambda name: name.split("_")[0])
     z = [math.atanh(reference(part[SPECTRAL], part["mean"]).statistic) for _, part in groups]
     found = correlate(table, SPECTRAL, method=method, draws=200, rng=rng())
@@ -199,11 +185,8 @@ def test_intervals_are_rebuilt_from_the_draws(
     for counts, units, interval in zip(
         counted, (min(people, scenes), people), intervals, strict=True
     ):
-        z = np.arctanh(
-            Averages.of(items, drawn[0]).correlate(items, METHODS["pearson"], counts=(counts,))[0][
-                0
-            ]
-        )
+        averages = Averages.of(items, drawn[0])
+        z = np.arctanh(averages.correlate(items, METHODS["pearson"], counts=(counts,))[0][0])
         margin = stats.t.ppf(0.975, units - 1) * math.sqrt(units / (units - 1)) * z.std(ddof=1)
         assert np.arctanh(interval) == pytest.approx(
             math.atanh(found.value) + margin * np.array([-1, 1])
@@ -243,10 +226,6 @@ def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> 
         -found.high,
         -found.low,
     ))
-
-
-REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr, "kendall": stats.kendalltau}
-WITHIN = {"within": "pearson", "within_spearman": "spearman", "within_kendall": "kendall"}
 
 
 def make_coarse(rng: np.random.Generator, *, missing: float = 0.0) -> Items:
