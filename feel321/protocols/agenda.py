@@ -165,8 +165,7 @@ def _list_steps(
     yield from (Page("welcome"), Page("consent"), *list_pages(questions, "before"))
     for protocol in (THRESHOLD, MATCHING):
         if own := [trial for trial in trials if trial.protocol == protocol]:
-            yield Page(f"instructions.{protocol}")
-            yield from _list_rehearsal(own, "practice")
+            yield from (Page(f"instructions.{protocol}"), *_list_rehearsal(own, "practice"))
             counted = (trial for trial in own if trial.phase == protocol)
             # One part after the other (frequencies).
             for place, (_, part) in enumerate(groupby(counted, key=lambda trial: trial.block)):
@@ -182,14 +181,13 @@ def _list_steps(
         yield Page(f"instructions.{section[0].protocol}")
         own = [trial for trial in trials if trial.protocol == section[0].protocol]
         yield from (*_list_rehearsal(own, "training"), *_list_rehearsal(own, "practice"))
-        yield Page("main")
         half = (len(section) + 1) // 2 if len(sections) == 1 else len(section)
+        yield Page("main")
         yield from section[:half]
         if section[half:]:
             yield from rest
             yield from section[half:]
-    yield from list_pages(questions, "after")
-    yield Page("end")
+    yield from (*list_pages(questions, "after"), Page("end"))
 
 
 def _list_rehearsal(trials: Sequence[Trial], phase: str) -> list[Page | Trial]:

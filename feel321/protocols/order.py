@@ -118,15 +118,13 @@ def shuffle_rows(n: int, rng: Generator) -> list[int]:
 
 def _order_blocked(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
     """Shuffle the recordings, and the comparisons of each, anew for every participant and round."""
-    own = _spawn_participant(rng, number)
-    last: Spot = ("", 0)
+    own, last = _spawn_participant(rng, number), ("", 0)
     for groups in rounds:
-        blocks = []
+        blocks: list[tuple[Spot, ...]] = []
         for recording in _shuffle_apart(list(groups), after=last[0], rng=own):
             spots = [(recording, index) for index in range(len(groups[recording]))]
-            block = tuple(_shuffle_apart(spots, after=last, rng=own))
-            blocks.append(block)
-            last = block[-1]
+            blocks.append(tuple(_shuffle_apart(spots, after=last, rng=own)))
+            last = blocks[-1][-1]
         yield tuple(blocks)
 
 
@@ -340,9 +338,8 @@ def select_share(
     pile: list[str] = []
     for _ in range(number):
         hand, pile = pile[:count], pile[count:]
-        if len(hand) < count:
+        if lacking := count - len(hand):
             fresh = sorted(_shuffle(recordings, rng), key=set(hand).__contains__)
-            lacking = count - len(hand)
             hand, pile = hand + fresh[:lacking], fresh[lacking:]
     return tuple(item for item in items if item.recording in hand)
 
@@ -388,14 +385,14 @@ def _rehearse(section: TaskTrials, rng: Generator) -> Iterator[Trial]:
     unclear: set[Spot] = set()  # the right answer is not known, or not obvious to anybody
     spots = [(name, index) for name, own in section.groups.items() for index in range(len(own))]
     lessons = [(name, index) for name, own in section.lessons.items() for index in range(len(own))]
-    for recording, index in lessons:
-        comparison = section.lessons[recording][index]
+    for spot in lessons:
+        comparison = section.lessons[spot[0]][spot[1]]
         known = [judgement.expected for judgement in comparison.judgements if judgement.expected]
         ends = {"high" if sum(expected) > sum(RATING_RANGE) else "low" for expected in known}
-        sides[recording, index] = ends.pop() if len(ends) == 1 else ""
+        sides[spot] = ends.pop() if len(ends) == 1 else ""
         # A page is no catch trial as a whole.
         if not (comparison.catch or (known and len(comparison.judgements) > 1)):
-            unclear.add((recording, index))
+            unclear.add(spot)
     task = section.task
     count = task.training * (2 if PROTOCOLS[task.protocol].choices else 1)
     training = _choose(lessons, count, late=unclear, sides=sides, rng=rng)

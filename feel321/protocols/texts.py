@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 CATALOG = files("feel321.protocols") / "catalog"
 MODEL = "en"  # the language that every other one is compared with
 MOST_GUESSES = 20  # unknown texts that are told what they may have meant, some milliseconds each
-WORDS = {"question": "", "low_label": "", "high_label": ""}  # what a scale of a lab's own must have
 
 
 def list_languages() -> tuple[str, ...]:
@@ -65,7 +64,7 @@ def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
     own, base = _parse_own(path)
     texts, model = _merge(base, own), read_texts()
     lines: list[str] = []
-    for place, fault in find_gaps(texts, _merge(model, _model_own_scales(texts, model))):
+    for place, fault in find_gaps(texts, model):
         known = [place for place, _ in _flatten(base)] if len(lines) < MOST_GUESSES else []
         near = [] if place in known else get_close_matches(place, known, n=1, cutoff=0.5)
         hint = f", did you mean {near[0]}?" if near else ""
@@ -82,21 +81,6 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> Iterator[tuple[st
         if fault := _find_fault(place, own[place], words) if place in own else "is missing":
             yield place, fault
     yield from ((place, "is not a known text") for place in own if place not in wanted)
-
-
-def _model_own_scales(texts: dict[str, Any], model: dict[str, Any]) -> dict[str, Any]:
-    """Model what a lab's own scales may have: all their words, perhaps anchors, and the page of their protocol."""
-    scales, pages = texts["scales"], texts["pages"]
-    own: dict[str, Any] = {"scales": {}, "pages": {}}
-    for name in scales if isinstance(scales, dict) and isinstance(pages, dict) else ():
-        if name in model["scales"] or not isinstance(scales[name], dict) or not scales[name]:
-            continue
-        anchors = scales[name].get("anchors")
-        along = {"anchors": [""] * len(anchors)} if isinstance(anchors, list) and anchors else {}
-        own["scales"][name] = WORDS | along
-        if (page := f"instructions.{name}") in pages:
-            own["pages"][page] = {"title": "", "text": ""}
-    return own
 
 
 def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:

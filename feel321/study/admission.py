@@ -70,7 +70,7 @@ def require_protocols(path: Path, names: Sequence[str], digests: Mapping[str, st
 
 
 def add_texts(texts: dict[str, Any], names: Sequence[str]) -> None:
-    """Add the texts that the lab's own protocols carry, where those of the language and the study have none."""
+    """Add the texts that the lab's own protocols carry."""
     for name in names:
         protocol = PROTOCOLS[name]
         if not protocol.sha256:
@@ -78,16 +78,11 @@ def add_texts(texts: dict[str, Any], names: Sequence[str]) -> None:
         page = f"instructions.{name}"
         own = dict(protocol.texts)
         scale = {key: own[key] for key in (*WORDS, "anchors") if key in own}
-        given = texts["scales"].get(name) or scale
-        shown = texts["pages"].get(page) or {key: own[key] for key in PAGE if key in own}
-        lacking = (
-            *(key for key in WORDS if key not in given),
-            *(p for p in PAGE if p not in shown),
-        )
-        if missing := ", ".join(lacking):
+        given = texts["scales"].get(name) or scale  # the study's own [scales.NAME] come first
+        shown = {key: own[key] for key in PAGE if key in own}
+        if missing := ", ".join(key for key in (*WORDS, *PAGE) if key not in given | shown):
             raise ValueError(
-                f"protocol {name} has no {missing}; give texts={{...}} to its Protocol, or write "
-                f'[scales.{name}] and [pages."{page}"] into a file of texts and name it as session.language'
+                f"protocol {name} has no {missing}; give texts={{...}} to its Protocol"
             )
         choices = {"choices": list(protocol.choices)} if protocol.choices else {}
         texts["scales"][name] = {**given, **choices}

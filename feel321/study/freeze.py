@@ -26,7 +26,7 @@ from feel321.study.numbers import read_holder
 from feel321.study.people import read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.journal import digest, list_journals
-from feel321.study.session.opening import FROZEN_FILE
+from feel321.study.session.opening import FROZEN_FILE, flatten
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     from feel321.study.settings.read import CONSENT, list_methods, make_recipe, read_study_texts
 
     stimuli = read_stimuli(study.stimuli)
-    found = dict(_flatten(settings.model_dump(mode="json", exclude=UNCOUNTED)))
+    found = dict(flatten(settings.model_dump(mode="json", exclude=UNCOUNTED)))
     for name in ("stimuli.reducers", "stimuli.metrics"):
         found[name] = [name_of(one) for one in found[name]]
     found["stimuli.reference"] = name_of(found["stimuli.reference"])
@@ -138,14 +138,6 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     found |= {f"analysis.{name}": said for name, said in MODEL.items()}
     found |= {f"software.{name}": number for name, number in list_versions().items()}
     return dict(sorted(found.items()))
-
-
-def _flatten(entry: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in entry.items():
-        if isinstance(value, dict):
-            yield from _flatten(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:

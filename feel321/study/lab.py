@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
@@ -45,7 +45,6 @@ from feel321.study.terminal import CALL, echo, is_terminal
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.actuator.delivered import DeliveryCheck
     from feel321.study.actuator.output import Output
     from feel321.study.screen.input import Hand
@@ -227,9 +226,7 @@ def identify_lab(room: Room) -> dict[str, Any]:
 
 
 @contextmanager
-def open_lab(
-    plan: Plan, journal: Journal, stimuli: Mapping[str, Stimulus], *, room: Room
-) -> Iterator[Presenter]:
+def open_lab(plan: Plan, journal: Journal, *, room: Room) -> Iterator[Presenter]:
     """Open the actuators and the screen, and close both whatever happens."""
     from feel321.study.screen.input import make_screen_texts
     from feel321.study.screen.presenter import ScreenPresenter
@@ -244,7 +241,7 @@ def open_lab(
         output.lead_s = room.certificate.lead_s if room.certificate else 0.0
         screen = open_screen(clock=clock, windowed=room.windowed, screen=room.screen)
         window = stack.enter_context(screen)
-        hand = _seat_hand(plan, stimuli, room=room, clock=clock)
+        hand = _seat_hand(plan, room=room, clock=clock)
         own = {} if keys == USUAL else {"keys": keys.model_dump(mode="json")}
         if room.lsl:
             stack.enter_context(open_outlet(journal, clock))
@@ -295,9 +292,7 @@ def _make_check(room: Room) -> DeliveryCheck | None:
     )
 
 
-def _seat_hand(
-    plan: Plan, stimuli: Mapping[str, Stimulus], *, room: Room, clock: Callable[[], float]
-) -> Hand | None:
+def _seat_hand(plan: Plan, *, room: Room, clock: Callable[[], float]) -> Hand | None:
     """Seat a simulated participant."""
     if (casting := room.casting) is None:
         return None
@@ -305,4 +300,4 @@ def _seat_hand(
 
     person = find_person(plan.participant)
     mind = Participant(casting.model, seed=casting.seed, number=person)
-    return PressingHand(mind, stimuli=stimuli, clock=clock, keys=_get_rig(room).keys)
+    return PressingHand(mind, clock=clock, keys=_get_rig(room).keys)

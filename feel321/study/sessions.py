@@ -9,14 +9,14 @@ from math import prod
 from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.texts import make_scales
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.numbers import Station, plan_participants
 from feel321.study.persons.answers import make_keeper
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.opening import open_session
-from feel321.study.session.plan import Plan, Stale, list_by_code, make_plan
+from feel321.study.session.plan import Plan, Stale, make_plan
 from feel321.study.session.ports import Place, Presenter
 from feel321.study.settings.read import make_design, read_settings, read_study_texts
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from feel321.study.observer.model import Casting
     from feel321.study.settings.schema import Settings
 
-MakePresenter = Callable[[Plan, Journal, Mapping[str, Stimulus]], AbstractContextManager[Presenter]]
+MakePresenter = Callable[[Plan, Journal], AbstractContextManager[Presenter]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,6 @@ def lead_session(
     with open_session(
         folder, plan, identity=identity, now=room.now, stale=room.stale, accept_rig=room.accept_rig
     ) as (own, journal):
-        by_code = list_by_code(room.stimuli, seed=own.seed)
         durations, keep = find_durations(room.stimuli), make_keeper(folder, journal)
         left_s = find_left(own, journal.records, durations=durations, pace=room.pace)
 
@@ -104,7 +103,7 @@ def lead_session(
                 on_step(replace(place, left_s=left_s.get(place.done)))
 
         stimuli, scales = room.stimuli, room.scales
-        with make_presenter(own, journal, by_code) as shown:
+        with make_presenter(own, journal) as shown:
             outcome = run_session(
                 own, shown, stimuli=stimuli, journal=journal, scales=scales, on_step=note, keep=keep
             )

@@ -1,6 +1,6 @@
 """Sessions of simulated participants: who takes part, what they plant, and many of them side by side."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from functools import partial
@@ -8,7 +8,7 @@ from itertools import count
 from threading import Event, Lock
 from typing import NamedTuple
 
-from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
+from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.checkpoints import note_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.observer.model import Casting, Touch, expect_rating, find_person, make_model
@@ -143,8 +143,6 @@ def list_participants(study: StudyFolder, number: int) -> list[str]:
 
 
 @contextmanager
-def _make_observer(
-    plan: Plan, journal: Journal, _stimuli: Mapping[str, Stimulus], *, casting: Casting
-) -> Iterator[Presenter]:
+def _make_observer(plan: Plan, journal: Journal, *, casting: Casting) -> Iterator[Presenter]:
     person, elapsed_s = find_person(plan.participant), journal.records.find_elapsed()
     yield SimulatedObserver(casting.model, seed=casting.seed, number=person, elapsed_s=elapsed_s)

@@ -1,3 +1,5 @@
+"""Correlations with their two-way intervals, and the cluster bootstrap behind them."""
+
 from __future__ import annotations
 
 import math
@@ -6,16 +8,28 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats
 
 from feel321.analysis.association import compare_metrics, correlate
-from feel321.analysis.resampling import METHODS, Averages, draw_counts
-from feel321.analysis.table.items import make_items
+from feel321.analysis.resampling import (
+    METHODS,
+    Averages,
+    bootstrap_margin,
+    draw_counts,
+    weighted_pearson,
+    weighted_ranks,
+)
+from feel321.analysis.table.items import Items, make_items
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+
 SPECTRAL, TEMPORAL = "spectral_match", "temporal_match"
+REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr, "kendall": stats.kendalltau}
+WITHIN = {"within": "pearson", "within_spearman": "spearman", "within_kendall": "kendall"}
 
 
 def rng(seed: int = 1) -> np.random.Generator:
@@ -24,25 +38,16 @@ def rng(seed: int = 1) -> np.random.Generator:
 
 def item_means(table: pd.DataFrame) -> pd.DataFrame:
     tests = table[table["role"] == "test"]
-    cells = (
-        tests.groupby(["stimulus_id", "participant"])["rating"].mean().groupby("stimulus_id").mean()
-    )
-    return (
-        tests
-        .drop_duplicates("stimulus_id")
-        .set_index("stimulus_id")[[SPECTRAL, TEMPORAL]]
-        .assign(mean=cells)
-    )
+    cells = tests.groupby(["stimulus_id", "participant"])["rating"].mean()
+    metrics = tests.drop_duplicates("stimulus_id").set_index("stimulus_id")[[SPECTRAL, TEMPORAL]]
+    return metrics.assign(mean=cells.groupby("stimulus_id").mean())
 
 
-@pytest.mark.parametrize(
-    ("method", "reference"),
-    [("pearson", stats.pearsonr), ("spearman", stats.spearmanr), ("kendall", stats.kendalltau)],
-)
+@pytest.mark.parametrize("method", REFERENCE)
 def test_value_is_the_correlation_of_item_means(
-    tidy: Callable[..., pd.DataFrame], method: str, reference: Callable[..., object]
+    tidy: Callable[..., pd.DataFrame], method: str
 ) -> None:
-    table = tidy()
+    table, reference = tidy(), REFERENCE[method]
     means = item_means(table)
     found = correlate(table, SPECTRAL, method=method, draws=20, rng=rng())
     assert found.value == pytest.approx(
@@ -51,18 +56,11 @@ def test_value_is_the_correlation_of_item_means(
     assert (found.n_items, found.n_participants, found.n_recordings) == (36, 6, 4)
 
 
-@pytest.mark.parametrize(
-    ("method", "reference"),
-    [
-        ("within", stats.pearsonr),
-        ("within_spearman", stats.spearmanr),
-        ("within_kendall", stats.kendalltau),
-    ],
-)
+@pytest.mark.parametrize("method", WITHIN)
 def test_within_is_the_average_over_recordings(
-    tidy: Callable[..., pd.DataFrame], method: str, reference: Callable[..., object]
+    tidy: Callable[..., pd.DataFrame], method: str
 ) -> None:
-    table = tidy(noise=25)
+    table, reference = tidy(noise=25), REFERENCE[WITHIN[method]]
     groups = item_means(table).groupby(lambda name: name.split("_")[0])
     z = [math.atanh(reference(part[SPECTRAL], part["mean"]).statistic) for _, part in groups]
     found = correlate(table, SPECTRAL, method=method, draws=200, rng=rng())
@@ -187,11 +185,8 @@ def test_intervals_are_rebuilt_from_the_draws(
     for counts, units, interval in zip(
         counted, (min(people, scenes), people), intervals, strict=True
     ):
-        z = np.arctanh(
-            Averages.of(items, drawn[0]).correlate(items, METHODS["pearson"], counts=(counts,))[0][
-                0
-            ]
-        )
+        averages = Averages.of(items, drawn[0])
+        z = np.arctanh(averages.correlate(items, METHODS["pearson"], counts=(counts,))[0][0])
         margin = stats.t.ppf(0.975, units - 1) * math.sqrt(units / (units - 1)) * z.std(ddof=1)
         assert np.arctanh(interval) == pytest.approx(
             math.atanh(found.value) + margin * np.array([-1, 1])
@@ -231,3 +226,110 @@ def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> 
         -found.high,
         -found.low,
     ))
+
+
+def make_coarse(rng: np.random.Generator, *, missing: float = 0.0) -> Items:
+    ratings = rng.integers(0, 11, (5, 12)).astype(float) * 10  # coarse, so that ties occur
+    ratings[rng.random(ratings.shape) < missing] = np.nan
+    metrics = np.round(rng.normal(size=(2, 12)), 1)
+    return Items(tuple(map(str, range(12))), ratings, metrics, np.repeat(np.arange(4), 3))
+
+
+def correlate_slowly(
+    items: Items, method: str, people: np.ndarray, scenes: np.ndarray
+) -> np.ndarray:
+    """Write every drawn participant and item out, then ask scipy."""
+    drawn_people = np.repeat(np.arange(len(people)), people.astype(int))
+    means = {}
+    for item in range(items.n_items):
+        given = items.ratings[drawn_people, item]
+        if np.isfinite(given).any():
+            means[item] = np.nanmean(given)
+    drawn = [
+        item
+        for scene, times in enumerate(scenes.astype(int))
+        for _ in range(times)
+        for item in np.flatnonzero(items.recordings == scene)
+        if item in means
+    ]
+    y = np.array([means[item] for item in drawn])
+    return np.array([REFERENCE[method](metric[drawn], y).statistic for metric in items.metrics])
+
+
+@pytest.mark.parametrize("method", REFERENCE)
+@pytest.mark.parametrize("missing", [0.0, 0.4])
+def test_draws_equal_a_loop_over_the_written_out_samples(method: str, missing: float) -> None:
+    rng = np.random.default_rng(11)
+    items = make_coarse(rng, missing=missing)
+    people, scenes = draw_counts(5, 60, rng=rng), draw_counts(4, 60, rng=rng)
+    (fast,) = Averages.of(items, people).correlate(items, METHODS[method], counts=(scenes,))
+    slow = np.array([
+        correlate_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
+    ]).T
+    np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_weights_mean_repetition(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(0, 5, 8).astype(float), rng.integers(0, 5, 8).astype(float)
+    weights = rng.integers(0, 4, 8)
+    many_x, many_y = np.repeat(x, weights), np.repeat(y, weights)
+    if len(many_x) == 0 or np.ptp(many_x) == 0 or np.ptp(many_y) == 0:
+        assert math.isnan(weighted_pearson(x, y, weights=weights.astype(float)))
+        return
+    ranks = np.repeat(weighted_ranks(x, weights.astype(float)), weights)
+    np.testing.assert_array_equal(ranks, stats.rankdata(many_x))
+    for name, reference in REFERENCE.items():
+        expected = reference(many_x, many_y).statistic
+        assert METHODS[name].correlation(x, y, weights=weights.astype(float)) == pytest.approx(
+            expected, abs=1e-12
+        )
+
+
+@pytest.mark.parametrize("constant", [0.0, 0.1, 1e6, -3.3e-7])
+def test_a_constant_is_undefined_whatever_its_rounding(constant: float) -> None:
+    x = np.full(7, constant)
+    y, weights = np.arange(7.0), np.array([1.0, 2, 3, 1, 2, 3, 1])
+    assert math.isnan(weighted_pearson(x, y, weights=weights))
+    assert math.isnan(weighted_pearson(y, x, weights=weights))
+
+
+def test_margin_is_the_corrected_t_interval() -> None:
+    drawn = np.arange(20.0) ** 2
+    expected = stats.t.ppf(0.975, 7) * math.sqrt(8 / 7) * np.std(drawn[2:], ddof=1)
+    drawn[:2] = np.nan
+    assert bootstrap_margin(drawn, 8) == pytest.approx(expected)
+    drawn[2] = np.nan  # more than a tenth is too many
+    assert math.isnan(bootstrap_margin(drawn, 8))
+
+
+def correlate_within_slowly(
+    items: Items, method: str, people: np.ndarray, scenes: np.ndarray
+) -> float:
+    """Average Fisher's z of scipy's correlations, recording by recording, none of them perfect."""
+    drawn = np.repeat(items.ratings, people.astype(int), axis=0)
+    z = []
+    for scene, times in enumerate(scenes.astype(int)):
+        own = items.recordings == scene
+        r = REFERENCE[WITHIN[method]](items.metrics[0, own], drawn[:, own].mean(axis=0)).statistic
+        z += [math.atanh(r)] * times
+    return math.tanh(np.mean(z))
+
+
+@pytest.mark.parametrize("method", WITHIN)
+def test_within_averages_the_recordings_over_fishers_z(method: str) -> None:
+    rng = np.random.default_rng(5)
+    items = Items(
+        tuple(map(str, range(60))),
+        rng.normal(size=(6, 60)),
+        rng.normal(size=(1, 60)),
+        np.repeat([0, 1, 2], 20),
+    )
+    people, scenes = draw_counts(6, 40, rng=rng), draw_counts(3, 40, rng=rng)
+    (fast,) = Averages.of(items, people).correlate(items, METHODS[method], counts=(scenes,))
+    fast = fast[0]
+    slow = [
+        correlate_within_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
+    ]
+    np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.page import render_words
-from feel321.analysis.report import correlations, primary
+from feel321.analysis.report import means, primary
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import find_steps, order_reducers
@@ -115,7 +115,7 @@ def tell(study: object, metrics: list[str], **more: object) -> tuple[Any, Any, s
     with declaring(table.info):
         found = primary.compute(table, choices)
         lines = render_words("primary", **found.facts)
-        return found, correlations.compute(table, choices), lines[1]
+        return found, means.compute_correlations(table, choices), lines[1]
 
 
 def test_lower_ratings_with_a_larger_distance_are_a_success(mirrored: object) -> None:

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.page import render_words
-from feel321.analysis.report import correlations, primary
+from feel321.analysis.report import means, primary
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import FURTHER
@@ -75,7 +75,7 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
         ("spectral_match", "temporal_match"),
         (MEAN, INVARIANT),
     )
-    section = correlations.compute(table, Choices(draws=200, seed=1))
+    section = means.compute_correlations(table, Choices(draws=200, seed=1))
     rows = section.rows["further_associations"]
     for method in ("Pearson", "Spearman", "Pearson within recordings"):
         found, other = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -65,6 +66,18 @@ def test_a_frame_of_estimates_has_a_mark_each_and_hollow_ones_where_it_says_so()
     assert [text.get_text() for text in axes.get_yticklabels()] == ["a", "b"]
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["x", "y"]
     assert len(axes.patches) == 1
+
+
+def test_names_of_two_lines_keep_apart() -> None:
+    names = [f"{LONG} {number}" for number in range(5)]
+    figure = kinds.draw_estimates(
+        pd.DataFrame({"name": names, "value": 0.5, "low": 0.1, "high": 0.9}), "d′"
+    )
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    boxes = [label.get_window_extent() for label in axes.get_yticklabels()]
+    assert all("\n" in label.get_text() for label in axes.get_yticklabels())
+    assert all(upper.y0 > lower.y1 for upper, lower in pairwise(boxes))
 
 
 def test_values_of_eq_1_below_the_edge_are_hollow_at_the_edge() -> None:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from feel321 import analysis, results, stimuli
 from feel321.analysis.association import correlate
 from feel321.analysis.contrasts import compare
-from feel321.analysis.report.reducers import compute_contrasts
+from feel321.analysis.report.means import compute_contrasts
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table import schema

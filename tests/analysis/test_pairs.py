@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from pathlib import Path
 
+    Write = Callable[..., tuple[Path, Path]]
+
 STIMULI = {"orig": "reference", "mag321": "test", "dft321": "test", "anchor_low": "anchor"}
 
 
@@ -61,9 +63,7 @@ PAIRS = [
 ]
 
 
-def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(
-    write: Callable[..., tuple[Path, Path]],
-) -> None:
+def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(write: Write) -> None:
     table = read_table(*write(PAIRS))
     assert list_judged(table) == [
         ("mag321", "test"), ("dft321", "test"), ("orig", "reference"), ("dft321", "pair"),
@@ -73,61 +73,45 @@ def test_a_dissimilarity_is_about_what_was_compared_with_the_reference(
     assert list(table.rows["rating"]) == [row[-1] for row in PAIRS]
 
 
-def test_a_reducer_judged_against_itself_is_the_hidden_reference(
-    write: Callable[..., tuple[Path, Path]],
-) -> None:
+def test_a_reducer_judged_against_itself_is_the_hidden_reference(write: Write) -> None:
     judgements = [("p", "mushra", name, "dft321", 50) for name in STIMULI]
     table = read_table(*write(judgements))
     assert list_judged(table) == list((STIMULI | {"dft321": "reference"}).items())
 
 
-def test_without_reference_every_dissimilarity_is_from_the_reference(
-    write: Callable[..., tuple[Path, Path]],
-) -> None:
-    table = read_table(
-        *write([("p", "dissimilarity", "mag321", "", 60), ("p", "dissimilarity", "orig", "", 3)])
-    )
+def test_without_reference_every_dissimilarity_is_from_the_reference(write: Write) -> None:
+    judgements = [("p", "dissimilarity", name, "", 60) for name in ("mag321", "orig")]
+    table = read_table(*write(judgements))
     assert list_judged(table) == [("mag321", "test"), ("orig", "reference")]
     note = "2 judgements of scale 'dissimilarity' name no reference_id: they are taken as from the reference."
     assert note in table.notes
 
 
-def test_an_unknown_partner_is_refused(write: Callable[..., tuple[Path, Path]]) -> None:
+def test_an_unknown_partner_is_refused(write: Write) -> None:
     message = "ratings.csv, line 3: reference_id must be a stimulus of the manifest, or empty, in"
     with pytest.raises(ValueError, match=message):
         read_table(*write([PAIRS[0], ("p", "dissimilarity", "mag321", "ghost", 60)]))
 
 
-def test_pairs_are_told_apart_by_both_where_repeats_count(
-    write: Callable[..., tuple[Path, Path]],
-) -> None:
-    judgements = [
-        ("p", "dissimilarity", "mag321", "orig", 60),
-        ("p", "dissimilarity", "mag321", "dft321", 40),
-    ]
-    paths = write(judgements)
+def test_pairs_are_told_apart_by_both_where_repeats_count(write: Write) -> None:
+    paths = write([("p", "dissimilarity", "mag321", name, 60) for name in ("orig", "dft321")])
     frame = pd.read_csv(paths[0]).drop(columns="trial")
     frame.to_csv(paths[0], index=False)
     assert list(read_table(*paths).rows["repeat"]) == ["1", "1"]
     frame.assign(repeat=1).to_csv(paths[0], index=False)
     assert len(read_table(*paths).rows) == 2
     pd.concat([frame, frame]).assign(repeat=1).to_csv(paths[0], index=False)
-    with pytest.raises(
-        ValueError,
-        match=r"ratings.csv, lines 4, 5: repeat must occur once with the same participant, scale,",
-    ):
+    told = "ratings.csv, lines 4, 5: repeat must occur once with the same participant, scale,"
+    with pytest.raises(ValueError, match=told):
         read_table(*paths)
 
 
-def test_metrics_speak_only_of_what_was_judged_against_its_recording(
-    write: Callable[..., tuple[Path, Path]],
-) -> None:
+def test_metrics_speak_only_of_what_was_judged_against_its_recording(write: Write) -> None:
     references = ["surface", "dft321", "ghost", "orig", "", "elsewhere"]
     paths = write([("p", "similarity", "mag321", name, 40) for name in references])
     manifest = pd.read_csv(paths[1])
-    other = manifest[manifest["stimulus_id"] == "orig"].assign(
-        stimulus_id="elsewhere", recording="s"
-    )
+    other = manifest[manifest["stimulus_id"] == "orig"]
+    other = other.assign(stimulus_id="elsewhere", recording="s")
     pd.concat([manifest, other]).to_csv(paths[1], index=False)
     table = read_table(*paths)
     assert dict(zip(references, table.rows["matched"], strict=True)) == {

@@ -379,6 +379,18 @@ def test_a_reduced_analysis_is_a_report_too(files: Callable[..., object], tmp_pa
 
 
 @pytest.mark.usefixtures("short")
+def test_ratings_that_no_metric_predicts_are_a_report_too(
+    files: Callable[..., object], tmp_path: Path
+) -> None:
+    study = files(scales=("abx",), anchors=False)
+    ratings = pd.read_csv(study.ratings)
+    ratings["rating"] = ratings["rating"].gt(50) * 100
+    results = write_report(ratings, study.manifest, tmp_path / "report", draws=20, rng=0)
+    assert results.headline.startswith("These ratings do not show whether the metrics predict")
+    assert list(results.figures) == ["profile"]
+
+
+@pytest.mark.usefixtures("short")
 def test_names_cannot_break_the_page(files: Callable[..., object], tmp_path: Path) -> None:
     study = files(scales=("<script>alert(1)</script>--><b>",), anchors=False)
     write_report(study.ratings, study.manifest, tmp_path / "report", draws=20, rng=0)

@@ -12,7 +12,7 @@ import pytest
 from feel321.analysis.contrasts.compare import equivalence
 from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import adjust_holm
-from feel321.analysis.report import primary, raters, reducers
+from feel321.analysis.report import means, primary, raters
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
@@ -35,15 +35,17 @@ def pick(rows: list[dict[str, Any]], quantity: str) -> list[dict[str, Any]]:
 
 def test_contrasts_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     rows, margin = tidy(1, participants=8, recordings=5), 4.0
-    found = reducers.compute_contrasts(Table(rows, METRICS, ()), Choices(draws=2, margin=margin))
+    found = means.compute_contrasts(Table(rows, METRICS, ()), Choices(draws=2, margin=margin))
     contrasts = found.rows["contrasts"]
     differences, t = pick(contrasts, "difference"), pick(contrasts, "t")
     tests = rows[rows["role"] == "test"]
     # In a balanced study a contrast is the difference of two means, whatever the spreads.
-    means = tests.groupby("reducer")["rating"].mean()
-    assert len(differences) == len(list(combinations(means.index, 2)))
+    averages = tests.groupby("reducer")["rating"].mean()
+    assert len(differences) == len(list(combinations(averages.index, 2)))
     for row in differences:
-        assert row["value"] == pytest.approx(means[row["reducer"]] - means[row["second_reducer"]])
+        assert row["value"] == pytest.approx(
+            averages[row["reducer"]] - averages[row["second_reducer"]]
+        )
     assert [row["p"] for row in differences] == pytest.approx(adjust_holm([row["p"] for row in t]))
     columns = [pick(contrasts, name) for name in ("df", "difference_90", "non_inferiority")]
     for row, one, df, tost, worse in zip(differences, t, *columns, strict=True):
@@ -64,7 +66,7 @@ def test_what_is_said_of_reducers_reaches_as_far_as_the_study(
     tidy: Callable[..., pd.DataFrame], people: int, scenes: int, hint: str
 ) -> None:
     table = Table(tidy(1, participants=people, recordings=scenes, spectral=80.0), METRICS, ())
-    (line,) = render_words("contrasts", **reducers.compute_contrasts(table, CHOICES).facts)
+    (line,) = render_words("contrasts", **means.compute_contrasts(table, CHOICES).facts)
     assert line.endswith(f"; {hint}, a hint rather than a result." if hint else "tested.")
 
 
@@ -78,14 +80,14 @@ def make_arms(tidy: Callable[..., pd.DataFrame], **changes: object) -> pd.DataFr
 
 def test_levels_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
     rows = make_arms(tidy, participants=8, recordings=6)
-    found = reducers.compute_levels(Table(rows, METRICS, ()), CHOICES)
+    found = means.compute_levels(Table(rows, METRICS, ()), CHOICES)
     levels = found.rows["levels"]
     differences = pick(levels, "difference")
     wanted = adjust_holm([row["p"] for row in pick(levels, "t")])
     assert [row["p"] for row in differences] == pytest.approx(wanted)
-    means = rows.groupby("level")["rating"].mean()
+    averages = rows.groupby("level")["rating"].mean()
     rating, slope, _ = differences
-    assert rating["value"] == pytest.approx(means[ARMS[0]] - means[ARMS[1]], abs=0.01)
+    assert rating["value"] == pytest.approx(averages[ARMS[0]] - averages[ARMS[1]], abs=0.01)
     assert slope["low"] < 3 < slope["high"]
     assert slope["p"] < 0.01
     told = [

@@ -12,8 +12,7 @@ from scipy.stats import binom
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import leave_out_units
-from feel321.analysis.report import reducers as contrasts
-from feel321.analysis.report import reducers as levels
+from feel321.analysis.report import means
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
 
@@ -132,8 +131,8 @@ def copy_files(files: Callable[..., object], **design: object) -> tuple[object, 
 @pytest.mark.parametrize(
     ("compute", "design"),
     [
-        (contrasts.compute_contrasts, {}),
-        (levels.compute_levels, {"levels": ("as_is", "equal_intensity")}),
+        (means.compute_contrasts, {}),
+        (means.compute_levels, {"levels": ("as_is", "equal_intensity")}),
     ],
 )
 def test_copies_add_no_certainty_to_what_is_said_of_reducers_and_levels(

@@ -134,6 +134,11 @@ def now() -> Clock:
     return start_ticking()
 
 
+def list_events(records: list[Any], event: str) -> list[Any]:
+    """What the records of a kind hold."""
+    return [record.data for record in records if record.event == event]
+
+
 def start_ticking() -> Clock:
     ticks = count()
     return lambda: datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=next(ticks))

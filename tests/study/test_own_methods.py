@@ -209,20 +209,12 @@ def test_every_step_takes_a_protocol_of_the_lab(
     assert any("there is no file methods/mine.py" in one for one in grit.audit().findings)
 
 
-def test_texts_come_from_the_protocol_a_file_of_texts_or_the_settings(grit: Study) -> None:
+def test_texts_come_from_the_protocol(grit: Study) -> None:
     folder = grit.folder.path
     settings = read_settings(grit.folder.settings)
     texts = read_study_texts(settings, folder)
     assert texts["scales"]["grit"]["low_label"] == "Not"
     assert texts["pages"]["instructions.grit"]["title"] == "Grit"
-    (folder / "texts.toml").write_text(
-        '[scales.grit]\nquestion = "Körnig?"\nlow_label = "Nein"\nhigh_label = "Ja"\n'
-        '[pages."instructions.grit"]\ntitle = "Korn"\ntext = "Fühlen."\n'
-    )
-    grit.with_settings({"session.language": "texts.toml"})
-    texts = read_study_texts(read_settings(grit.folder.settings), folder)
-    assert texts["scales"]["grit"]["low_label"] == "Nein"
-    assert texts["pages"]["instructions.grit"]["title"] == "Korn"
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from feel321.protocols.tasks import make_task
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.ratings import list_judgements, write_ratings
 from feel321.study.session.journal import START, digest, write_line
-from feel321.study.session.plan import Stale, create_plan, list_codes, make_plan, read_dossier
+from feel321.study.session.plan import Stale, create_plan, list_by_code, make_plan, read_dossier
 from feel321.study.session.ports import Confirm, Feel, Playback
 
 if TYPE_CHECKING:
@@ -43,7 +43,8 @@ def test_one_row_per_judgement_with_what_the_plan_and_the_set_say(
     rows = read(study.ratings)
     assert [int(row["trial"]) for row in rows] == list(range(1, 21))
     by_id = {stimulus.stimulus_id: stimulus for stimulus in stimuli.stimuli}
-    codes = list_codes(stimuli, seed=plan.seed)
+    by_code = list_by_code(stimuli, seed=plan.seed)
+    codes = {row.stimulus_id: code for code, row in by_code.items()}
     for row, trial in zip(rows, plan.trials, strict=True):
         (judgement,) = trial.judgements
         assert (codes[row["stimulus_id"]], row["protocol"]) == (
@@ -189,7 +190,8 @@ def test_every_judgement_of_a_trial_is_a_row(
     }
     # An answer of `a` is right exactly where X repeats A: the score is checked against the parts, not against itself.
     if task in {"triplet", "preference"}:
-        codes = list_codes(stimuli, seed=plan.seed)
+        by_code = list_by_code(stimuli, seed=plan.seed)
+        codes = {row.stimulus_id: code for code, row in by_code.items()}
         felt = {t.number: [part.stimulus_id for part in t.parts[-2:]] for t in plan.trials}
         for row in rows:
             named = [codes[row[name]] for name in ("stimulus_id", "other_id")]

@@ -96,13 +96,12 @@ def fit_slopes(cells: Cells, *, correlated: bool = False, reducers: bool = True)
     return Slopes(_tabulate_slopes(cells, terms, solved), cells, terms, solved)
 
 
-def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have a paper behind them
+def fit_primary(
     table: Table | DataFrame,
     metrics: Sequence[str] | None = None,
     *,
     scale: str | None = None,
     level: str | None = None,
-    correlated: bool = False,
     reducers: bool = True,
     explain: bool = True,
 ) -> Primary:
@@ -119,11 +118,9 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
         One or more, such as ``["spectral_match", "temporal_match"]``; those of the Table if left out.
     scale, level : str, optional
         Which ratings; needed where the table holds several scales or levels.
-    correlated : bool
-        Let people's slopes correlate; a sensitivity analysis, for it often has no stable answer.
     reducers : bool
-        Let reducers feel different for reasons that no metric knows, for everyone and for each person; False is a
-        sensitivity analysis, which is wrong too often where they do.
+        Let reducers feel different for reasons that no metric knows, for everyone and for each person; False is wrong
+        too often where they do.
     explain : bool
         Fit the models without metrics (`item_variance_explained`), with ``centred`` slopes and without level
         (``plain`` slopes), too; what comes from them is NaN otherwise, in a third of the time.
@@ -197,7 +194,7 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     """
     rows, names = choose_arms(table, scale, level), choose_metrics(table, metrics)
     cells = make_cells(open_ratings(rows), names)
-    found = fit_slopes(cells, correlated=correlated, reducers=reducers)
+    found = fit_slopes(cells, reducers=reducers)
     terms, lack = found.terms, _find_lack(cells)
     fit = report_fit(terms.formula, found.solved)
     explained, why = _explain_items(found) if explain else (NONE, [])
@@ -206,7 +203,7 @@ def fit_primary(  # noqa: PLR0913 - which rows, and three choices that each have
     level = "metric" if set(LEVELS) & {*names} else IN_MODEL if LEVEL in terms.fixed else known
     plain = found.table[[]].assign(plain=NONE, plain_p=NONE)
     if explain and level == IN_MODEL:
-        bare = fit_slopes(cells.ignore_level(), correlated=correlated, reducers=reducers).table
+        bare = fit_slopes(cells.ignore_level(), reducers=reducers).table
         plain = bare[["estimate", "p"]].set_axis(["plain", "plain_p"], axis=1)
     between = [name for name in terms.fixed if name[-2:] == "_b"]
     rows_between = [_blank(found.solved.estimate({name: 1.0}), lack=lack) for name in between]

@@ -51,10 +51,10 @@ QUESTIONS: Mapping[str, str] = {
 
 SECTIONS = (
     Section("primary", "Change in rating with each metric, within recordings", "predict", "primary:compute"),
-    Section("metrics", "Correlations of mean ratings with metrics", "predict", "correlations:compute"),
-    Section("levels", "Level arms compared", "differ", "reducers:compute_levels"),
-    Section("reducers", "Ratings per reducer", "differ", "reducers:compute_profile"),
-    Section("contrasts", "Reducers against each other", "differ", "reducers:compute_contrasts"),
+    Section("metrics", "Correlations of mean ratings with metrics", "predict", "means:compute_correlations"),
+    Section("levels", "Level arms compared", "differ", "means:compute_levels"),
+    Section("reducers", "Ratings per reducer", "differ", "means:compute_profile"),
+    Section("contrasts", "Reducers against each other", "differ", "means:compute_contrasts"),
     Section("choices", "Choices between two stimuli", "differ", "pairs:compute_choices", CHOSEN),
     Section("discrimination", "Telling stimuli apart (ABX)", "apart", "pairs:compute_discrimination", (ANSWERED,)),
     Section("told_apart", "One axis against three", "apart", "pairs:compute_told_apart", (PAIRED,)),

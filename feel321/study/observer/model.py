@@ -206,9 +206,9 @@ class Experience:
     """A trial and what was felt in it: where each part lies, or which tone it was, or its first sensation level."""
 
     trial: Trial
-    points: Mapping[str, Location] = field(default_factory=dict)
-    tones: Mapping[str, Tone] = field(default_factory=dict)
-    levels_db: Mapping[str, float] = field(default_factory=dict)
+    points: dict[str, Location] = field(default_factory=dict)
+    tones: dict[str, Tone] = field(default_factory=dict)
+    levels_db: dict[str, float] = field(default_factory=dict)
 
     def find(self, part: str) -> Location:
         """Find where a part lies."""
@@ -289,11 +289,10 @@ class Touch:
         self, experience: Experience, judgement: Judgement, choices: Sequence[str]
     ) -> dict[str, float]:
         """Compute how far each candidate is from the part asked about, or from the reference of a choice, in points."""
-        if judgement.part in choices:
-            asked = experience.find_reference(judgement)
-            return {name: self.measure_shortfall(experience.find(name), asked) for name in choices}
-        asked = experience.find(judgement.part)
-        return {name: self.measure_distance(experience.find(name), asked) for name in choices}
+        is_candidate = judgement.part in choices
+        measure = self.measure_shortfall if is_candidate else self.measure_distance
+        find = experience.find_reference if is_candidate else lambda one: experience.find(one.part)
+        return {name: measure(experience.find(name), find(judgement)) for name in choices}
 
 
 def find_sure_end(trial: Trial) -> float:
@@ -337,13 +336,7 @@ NUMBERED = re.compile(r"sim(\d+)")  # codes that hold the number of a simulated 
 
 
 def find_person(participant: str) -> int:
-    """Find the simulated person of a code: always the same one, with or without a hand, whatever the design.
-
-    Examples
-    --------
-    >>> find_person("sim007"), find_person("p07") == find_person("p07"), find_person("p07") == find_person("p08")
-    (7, True, False)
-    """
+    """Find the simulated person of a code: always the same one, with or without a hand, whatever the design."""
     if numbered := NUMBERED.fullmatch(participant):
         return int(numbered[1])
     return int.from_bytes(hashlib.sha256(participant.encode()).digest()[:8], "big")

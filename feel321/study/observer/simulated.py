@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
     from feel321.protocols.texts import Answer, Question
-    from feel321.stimuli.sets.manifest import Stimulus
     from feel321.study.session.ports import Felt
 
 SIMULATED_TEXT = "simulated"  # the answer to a question that asks for a text
@@ -38,18 +37,23 @@ class Participant:
         self.touch = Touch(model, seed)
         self.rater = draw_rater(model, self._draw_from(0, 0))
 
-    def imagine(self, trial: Trial, stimuli: Mapping[str, Stimulus]) -> Experience:
-        """Compute how all parts of a trial feel."""
-        named = {part.name: part.stimulus_id for part in trial.parts}
-        felt = {name: stimuli[code] if code else None for name, code in named.items()}
-        points = {name: self.touch.locate(stimulus) for name, stimulus in felt.items()}
-        return Experience(trial, points)
+    def begin(self, trial: Trial) -> None:
+        """Begin a trial, of which nothing was felt."""
+        self._felt = Experience(trial)
 
-    def answer(
-        self, experience: Experience, scale: Scale, place: Place
-    ) -> tuple[dict[str, float | str], float]:
-        """Answer a trial: the values by part, and the time that this took in s."""
-        trial, touch, rater = experience.trial, self.touch, self.rater
+    def feel(self, part: Part, stimulus: Felt | None) -> None:
+        """Feel a part; None is the real surface. Of a level that changes, the first is remembered."""
+        if isinstance(stimulus, Scaled):
+            level_db = stimulus.stimulus.sensation_level_db + stimulus.gain_db
+            self._felt.levels_db.setdefault(part.name, level_db)
+        elif isinstance(stimulus, Tone):
+            self._felt.tones[part.name] = stimulus
+        else:
+            self._felt.points[part.name] = self.touch.locate(stimulus)
+
+    def answer(self, scale: Scale, place: Place) -> tuple[dict[str, float | str], float]:
+        """Answer the trial that was felt: the values by part, and the time that this took in s."""
+        experience, trial, touch, rater = self._felt, self._felt.trial, self.touch, self.rater
         rng = self._draw_from(trial.number, place.attempt)
         if trial.protocol == THRESHOLD:
             return {blocks.ASKED: self._detect(experience.tones, rng)}, rater.draw_time(rng)
@@ -122,11 +126,6 @@ class Participant:
         return np.random.default_rng([self._seed, self._number, trial, attempt, *places])
 
 
-def feel_level(scaled: Scaled) -> float:
-    """Find how far a stimulus lies over the detection threshold at another level than the study's, in dB."""
-    return scaled.stimulus.sensation_level_db + scaled.gain_db
-
-
 class SimulatedObserver(Participant):
     """A presenter that needs no screen and no actuator: it answers by itself; elapsed_s: of its session, in s."""
 
@@ -150,28 +149,20 @@ class SimulatedObserver(Participant):
 
     def show_trial(self, trial: Trial, scale: Scale, place: Place) -> None:
         """Begin a trial."""
-        self._points: dict[str, models.Location] = {}
-        self._tones: dict[str, Tone] = {}
-        self._levels_db: dict[str, float] = {}
-        felt = Experience(trial, self._points, self._tones, self._levels_db)
-        self._shown_s, self._acts = self._time_s, self._list_acts(felt, scale, place)
+        self.begin(trial)
+        self._shown_s, self._acts = self._time_s, self._list_acts(trial, scale, place)
 
     def play(
         self, part: Part, stimulus: Felt, *, gap_s: float, due_s: float | None = None
     ) -> Playback:
-        """Feel a stimulus."""
-        if isinstance(stimulus, Scaled):
-            self._levels_db.setdefault(part.name, feel_level(stimulus))
-        elif isinstance(stimulus, Tone):
-            self._tones[part.name] = stimulus
-        else:
-            self._points[part.name] = self.touch.locate(stimulus)
+        """Feel a stimulus to its end."""
+        self.feel(part, stimulus)
         gap_s = gap_s if due_s is None else max(gap_s, due_s - self._time_s)
         return self._pass_playback(gap_s, stimulus.duration_s)
 
     def prompt(self, part: Part) -> Playback:
         """Stroke the real surface."""
-        self._points[part.name] = models.REAL
+        self.feel(part, None)
         return self._pass_playback(0.0, STROKE_S)
 
     def wait(self, limit_s: float | None = None) -> Act:
@@ -186,12 +177,11 @@ class SimulatedObserver(Participant):
         """Feel what was not felt before the same answer is given again."""
         self._missed = parts if reason == "not_felt" else ()
 
-    def _list_acts(self, experience: Experience, scale: Scale, place: Place) -> Iterator[Act]:
-        trial = experience.trial
+    def _list_acts(self, trial: Trial, scale: Scale, place: Place) -> Iterator[Act]:
         if trial.timing == "free":
             for part in trial.parts:
                 yield Feel(self._time_s, part.name)
-        values, response_s = self.answer(experience, scale, place)
+        values, response_s = self.answer(scale, place)
         asked_s = self._time_s
         self._pass_time(response_s)
         if trial.protocol == MATCHING:

@@ -103,8 +103,8 @@ class Hand:
         """Look at what is on the screen, and return what is done to it."""
         return ()
 
-    def feel(self, part: Part, stimulus: Felt) -> None:
-        """Feel what is played."""
+    def feel(self, part: Part, stimulus: "Felt | None") -> None:
+        """Feel what is played; None is the real surface."""
 
 
 @dataclass(frozen=True, slots=True)

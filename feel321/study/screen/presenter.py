@@ -223,6 +223,7 @@ class ScreenPresenter:
         """Ask the participant to stroke the real surface, and wait until that is done."""
         self._view = replace(self._view, state="stroking", playing=part.name)
         self._show_frame()
+        self._hand.feel(part, None)
         began_s = self._clock()
         while True:
             for request in self._listen():

@@ -4,17 +4,21 @@ The answers come from the participant of `observer`, so that the same person giv
 here as in `feel321 simulate`. The next key follows from what is on the screen alone.
 """
 
-from collections.abc import Callable, Mapping, Sequence
-from math import copysign
+from __future__ import annotations
 
-from feel321.protocols.texts import Question
+from math import copysign
+from typing import TYPE_CHECKING
+
 from feel321.protocols.trial import MATCHING, Part, Trial
-from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.keys import PLAY, USUAL, KeysTable
-from feel321.study.observer.model import Experience
-from feel321.study.observer.simulated import Participant, feel_level
 from feel321.study.screen.input import BACKSPACE, ENTER, LISTS, MOVES, Hand, InputEvent, View
-from feel321.study.session.ports import Felt, Scaled, Tone
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from feel321.protocols.texts import Question
+    from feel321.study.observer.simulated import Participant
+    from feel321.study.session.ports import Felt
 
 RETRY_S, RETRIES = 2.0, 15  # pause before a failed device is tried again, and how often that is
 THINKING_S = 0.3  # before the first key; answers in less than 0.2 s would count as too fast
@@ -25,26 +29,20 @@ class PressingHand(Hand):
     """A simulated participant before a real screen; clock: gives the time in s since the session began."""
 
     def __init__(
-        self,
-        mind: Participant,
-        *,
-        stimuli: Mapping[str, Stimulus],
-        clock: Callable[[], float],
-        keys: KeysTable = USUAL,
+        self, mind: Participant, *, clock: Callable[[], float], keys: KeysTable = USUAL
     ) -> None:
-        self._mind, self._stimuli, self._clock, self._keys = mind, stimuli, clock, keys
+        self._mind, self._clock, self._keys = mind, clock, keys
         self._task, self._since_s, self._retries = (-1, ""), 0.0, 0
         self._values: Mapping[str, float | str] = {}
-        self._tones: dict[str, Tone] = {}
-        self._levels_db: dict[str, float] = {}
         self._seen: Mapping[str, float] = {}
         self._felt: Mapping[str, float] = {}
 
     def watch(self, view: View) -> Sequence[InputEvent]:
         """Look at what is on the screen, and press and release a key."""
         time_s, self._seen = self._clock(), view.markers
-        if view.screen != self._task[0]:
-            self._values, self._tones, self._levels_db = {}, {}, {}
+        if view.screen != self._task[0] and view.trial is not None:
+            self._values = {}
+            self._mind.begin(view.trial)
         if (task := (view.screen, view.state)) != self._task:
             self._task, self._since_s = task, time_s
         wait_s = RETRY_S if view.page is not None and view.page.key == "call_us" else THINKING_S
@@ -55,13 +53,10 @@ class PressingHand(Hand):
         key = self._keys.find_key(act) or act
         return InputEvent("press", time_s, key), InputEvent("release", time_s, key)
 
-    def feel(self, part: Part, stimulus: Felt) -> None:
-        """Feel a tone or a level; what stimuli of a set feel like is known to the participant by their names."""
+    def feel(self, part: Part, stimulus: Felt | None) -> None:
+        """Feel what is played; None is the real surface."""
         self._felt = self._seen
-        if isinstance(stimulus, Tone):
-            self._tones[part.name] = stimulus
-        elif isinstance(stimulus, Scaled):
-            self._levels_db.setdefault(part.name, feel_level(stimulus))
+        self._mind.feel(part, stimulus)
 
     def _choose_act(self, view: View) -> str:
         """Choose what to do next: an action, or what to type; empty to wait."""
@@ -96,10 +91,7 @@ class PressingHand(Hand):
                 return "again"
             return action if has_key else _go_to_row(view, unfelt[0])
         if not self._values and view.scale is not None:
-            own = Experience(trial, {}, self._tones, self._levels_db)
-            is_own = bool(self._tones or self._levels_db)
-            felt = own if is_own else self._mind.imagine(trial, self._stimuli)
-            self._values, _ = self._mind.answer(felt, view.scale, view.place)
+            self._values, _ = self._mind.answer(view.scale, view.place)
         for key, value in self._values.items():
             if isinstance(value, str) and view.scale is not None and view.chosen != value:
                 return "left" if value == view.scale.choices[0] else "right"

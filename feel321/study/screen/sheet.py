@@ -178,10 +178,7 @@ def _open_font(*, bold: bool) -> FT2Font:
 
 @dataclass(slots=True)
 class Sheet:
-    """A screen while it is composed: its size in pixels, what has been put on it, and what of that is too long.
-
-    Sizes of letters and counts of units are in units, all else is in pixels.
-    """
+    """A screen while it is composed. Sizes of letters and counts of units are in units, all else is in pixels."""
 
     width: float
     height: float
@@ -202,7 +199,7 @@ class Sheet:
         return Box((self.width - width) / 2, top, width, bottom - top)
 
     def measure(self, words: str, size: float, *, bold: bool = False) -> float:
-        """Measure the width of a line of text."""
+        """Measure the width of a line of text, in pixels."""
         return measure(words, size * self.unit, bold=bold)
 
     def find_height(self, n_lines: float, size: float) -> float:
@@ -304,12 +301,10 @@ class Sheet:
         """Write in one line what keys do that have no button."""
         unit, strip = self.unit, self.find_strip("hints")
         words = [text.partition("  ")[::2] for text in texts]
-        sizes = [
-            (self.measure(key, SMALL, bold=True) + unit, self.measure(action, SMALL))
-            for key, action in words
-        ]
-        boxes = self.line_up([sum(own) for own in sizes], 4.5 * unit, strip)
-        for (key, action), box, (own, other) in zip(words, boxes, sizes, strict=True):
-            place = Box(box.left, box.top, own - unit, box.height)
-            self.write(place, key, SMALL, color=DIM, bold=True)
-            self.write(Box(box.left + own, box.top, other, box.height), action, SMALL, color=DIM)
+        keys = [self.measure(key, SMALL, bold=True) + unit for key, _ in words]
+        actions = [self.measure(action, SMALL) for _, action in words]
+        boxes = self.line_up([*map(sum, zip(keys, actions, strict=True))], 4.5 * unit, strip)
+        for (key, action), box, own, other in zip(words, boxes, keys, actions, strict=True):
+            self.write(box._replace(width=own - unit), key, SMALL, color=DIM, bold=True)
+            beside = box._replace(left=box.left + own, width=other)
+            self.write(beside, action, SMALL, color=DIM)

@@ -179,15 +179,16 @@ def find_differences(
 ) -> list[str]:
     """Find the values in which two nested mappings differ, named by their keys."""
     before, after = (
-        _flatten({k: v for k, v in entry.items() if k not in ignore}) for entry in (old, new)
+        dict(flatten({k: v for k, v in entry.items() if k not in ignore})) for entry in (old, new)
     )
     names = [name for name in before | after if before.get(name) != after.get(name)]
     return [f"{name} {before.get(name)!r} -> {after.get(name)!r}" for name in names]
 
 
-def _flatten(entry: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for name, value in entry.items():
-        key = f"{prefix}{name}"
-        flat |= _flatten(value, f"{key}.") if isinstance(value, dict) else {key: value}
-    return flat
+def flatten(entry: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """List the values of nested mappings, named by their keys."""
+    for key, value in entry.items():
+        if isinstance(value, dict):
+            yield from flatten(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value

@@ -53,22 +53,15 @@ _BEGIN = f'{{\n "format": {FORMAT},'.encode()
 _SEAL = b',\n "sha256": "'
 
 
-def list_codes(stimuli: StimulusSet, *, seed: int) -> dict[str, str]:
-    """Give every stimulus of a study its blind code, of letters and digits."""
-    key = f"{stimuli.sha256} {seed}"
-    names = [row.stimulus_id for row in stimuli.stimuli]
-    digests = {name: hashlib.sha256(f"{key}\n{name}".encode()).digest() for name in names}
-    whole = {name: base64.b32encode(digest).decode() for name, digest in digests.items()}
-    letters = 6  # more where two codes would be the same
-    while len({text[:letters] for text in whole.values()}) < len(whole):
-        letters += 1
-    return {name: text[:letters] for name, text in whole.items()}
-
-
 def list_by_code(stimuli: StimulusSet, *, seed: int) -> dict[str, Stimulus]:
-    """List the stimuli of a study by blind code."""
-    codes = list_codes(stimuli, seed=seed)
-    return {codes[row.stimulus_id]: row for row in stimuli.stimuli}
+    """List the stimuli of a study by blind code, of letters and digits."""
+    key, rows = f"{stimuli.sha256} {seed}", stimuli.stimuli
+    digests = [hashlib.sha256(f"{key}\n{row.stimulus_id}".encode()).digest() for row in rows]
+    whole = [base64.b32encode(digest).decode() for digest in digests]
+    letters = 6  # more where two codes would be the same
+    while len({text[:letters] for text in whole}) < len(whole):
+        letters += 1
+    return {text[:letters]: row for text, row in zip(whole, rows, strict=True)}
 
 
 @dataclass(frozen=True, slots=True)

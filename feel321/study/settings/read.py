@@ -259,10 +259,9 @@ def find_language(settings: Settings, folder: Path) -> str | Path:
 
 def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     """Read all texts of a study, the lab's own scales and consent among them."""
-    language = find_language(settings, folder)
-    texts = read_texts(language)
+    texts = read_texts(find_language(settings, folder))
     if mute := list(_find_mute_scales(settings, texts["scales"])):
-        raise ValueError("\n".join(f"study.toml: {line} (here, or in {language})" for line in mute))
+        raise ValueError("\n".join(f"study.toml: {line}" for line in mute))
     texts["scales"] |= {name: table.to_texts() for name, table in settings.scales.items()}
     admission.add_texts(texts, settings.session.protocols)
     if consent := settings.session.consent:

@@ -98,7 +98,7 @@ class Visit:
         self.time_s = 0.0
         self.screen = Screen(View("page", "reading", 0, Place(0, 80), page=Page("welcome")))
         mind = Participant(MODEL, seed=3, number=1)
-        self.hand = PressingHand(mind, stimuli=STIMULI, clock=lambda: self.time_s)
+        self.hand = PressingHand(mind, clock=lambda: self.time_s)
 
     def look(self) -> None:
         """Show a frame: one key at a time is pressed and released at once."""
@@ -111,6 +111,10 @@ class Visit:
 
     def meet(self, view: View) -> Screen:
         self.screen = Screen(view)
+        if view.trial:
+            self.look()
+            for part in view.trial.parts:
+                self.hand.feel(part, STIMULI[str(part.stimulus_id)])
         for _ in range(2000):
             self.look()
             if self.screen.confirmed:

@@ -11,6 +11,7 @@ import pytest
 from feel321.protocols.tasks import make_task
 from feel321.study.session.plan import Design, Plan, make_plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from tests.study.conftest import list_events
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,10 +36,6 @@ def plan_task(design: Design, stimuli: StimulusSet) -> Callable[..., Plan]:
         return make_plan(replace(design, tasks=(task,)), stimuli, "p01", number=1, simulated=True)
 
     return make
-
-
-def list_events(records: list[Any], event: str) -> list[Any]:
-    return [record.data for record in records if record.event == event]
 
 
 TRIALS: tuple[tuple[str, list[Any], list[Playback], str, list[str]], ...] = (

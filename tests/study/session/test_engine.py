@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.session.plan import replay
 from feel321.study.session.ports import Abort, Confirm, Pause, Playback
+from tests.study.conftest import list_events
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,10 +20,6 @@ if TYPE_CHECKING:
     from feel321.study.session.plan import Plan
 
     Present = Callable[..., list[Any]]
-
-
-def list_events(records: list[Any], *wanted: str) -> list[Any]:
-    return [record.data for record in records if record.event in wanted]
 
 
 def test_a_session_follows_the_plan_and_its_journal_tells_everything_in_order(

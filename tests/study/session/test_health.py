@@ -19,6 +19,7 @@ from feel321.study.session.journal import Chain
 from feel321.study.session.plan import read_dossier, replay, require_plan
 from feel321.study.session.ports import Abort, Confirm, Playback
 from feel321.study.status import find_flags
+from tests.study.conftest import list_events
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -53,10 +54,6 @@ CAUSES = {
 }
 DEAD = replace(WHOLE, delivered=fail(), fault="left: dead (-40 dB); check its cable")
 ALL = frozenset({"underrun", "clipped", "device_error", "too_fast", "not_felt"})
-
-
-def list_events(records: list[Any], event: str) -> list[Any]:
-    return [record.data for record in records if record.event == event]
 
 
 @pytest.mark.parametrize(

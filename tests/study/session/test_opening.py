@@ -14,6 +14,7 @@ from feel321.study.session.events import PageRead, SessionReleased, read_event
 from feel321.study.session.journal import create_journal, read_journal, require_journal, utc_now
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Stale, make_plan, require_plan
+from tests.study.conftest import list_events
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -24,10 +25,6 @@ if TYPE_CHECKING:
 
     Present = Callable[..., list[Any]]
     Now = Callable[[], datetime]
-
-
-def list_events(records: list[Any], event: str) -> list[Any]:
-    return [record.data for record in records if record.event == event]
 
 
 def rated_trials(records: list[Any]) -> list[int]:

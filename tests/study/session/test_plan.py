@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.study.session.journal import digest
-from feel321.study.session.plan import Plan, create_plan, list_codes, make_plan, require_plan
+from feel321.study.session.plan import Plan, create_plan, list_by_code, make_plan, require_plan
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -26,7 +26,7 @@ def list_judged(plan: Plan, protocol: str) -> list[str]:
 
 
 def test_a_plan_holds_every_stimulus_once_per_task(plan: Plan, stimuli: StimulusSet) -> None:
-    codes = list_codes(stimuli, seed=7)
+    codes = {row.stimulus_id: code for code, row in list_by_code(stimuli, seed=7).items()}
     assert list_judged(plan, "realism") == list_judged(plan, "similarity") == sorted(codes.values())
     references = {t.judgements[0].reference_id for t in plan.trials if t.protocol == "similarity"}
     assert references == {codes["bumps-original"], codes["taps-original"]}
@@ -122,7 +122,7 @@ def test_codes_are_the_names_and_keys_own_and_grow_where_short_ones_would_be_the
     def code(*names: str, key: str = "study") -> dict[str, str]:
         rows = [SimpleNamespace(stimulus_id=name) for name in names]
         stimuli: Any = SimpleNamespace(sha256=key, stimuli=rows)
-        return list_codes(stimuli, seed=321)
+        return {row.stimulus_id: one for one, row in list_by_code(stimuli, seed=321).items()}
 
     assert code("oak")["oak"] == code("elm", "oak")["oak"] != code("oak", key="b")["oak"]
     # Of 200 000 numbers, the first two that share six letters.

@@ -258,18 +258,9 @@ def test_scales_of_the_labs_own_reach_the_texts_and_the_tasks(
     assert scale.anchors == ("a", "b")
 
 
-def test_a_file_of_the_labs_own_may_hold_its_scales(
-    tmp_path: Path, read: Callable[[str], Settings]
-) -> None:
-    own = '[scales.roughness]\nquestion = "A"\nlow_label = "B"\nhigh_label = "C"\n'
-    (tmp_path / "own.toml").write_text(own, encoding="utf-8")
-    settings = read(
-        f"{SHORTEST}[session]\nlanguage = 'own.toml'\n[tasks.realism]\nscales = ['realism', 'roughness']\n"
-    )
-    assert make_scales(read_study_texts(settings, tmp_path))["roughness"].question == "A"
-    (tmp_path / "own.toml").write_text("", encoding="utf-8")
+def test_a_scale_without_words_is_refused(read: Callable[[str], Settings]) -> None:
     with pytest.raises(ValueError, match=r"tasks.realism.scales: 'roughness' has no words; add"):
-        read_study_texts(settings, tmp_path)
+        read(f"{SHORTEST}[tasks.realism]\nscales = ['realism', 'roughness']\n")
 
 
 def test_consent_and_language_may_be_the_labs_own(

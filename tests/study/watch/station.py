@@ -42,7 +42,7 @@ def main(path: Path, participant: str, seed: int, sleep_s: float) -> None:
     casting = Casting(make_model(settings), seed)
 
     @contextmanager
-    def seat(_plan: Any, _journal: Any, _stimuli: Any) -> Iterator[SlowObserver]:
+    def seat(_plan: Any, _journal: Any) -> Iterator[SlowObserver]:
         observer = SlowObserver(casting.model, seed=seed, number=1)
         observer.sleep_s = sleep_s
         yield observer

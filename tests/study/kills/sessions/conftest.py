@@ -220,7 +220,7 @@ class Session:
 
     @contextmanager
     def _make_presenter(
-        self, _plan: Plan, journal: Journal, _stimuli: Any, *, memory: set[str]
+        self, _plan: Plan, journal: Journal, *, memory: set[str]
     ) -> Iterator[Presenter]:
         elapsed_s = journal.records.find_elapsed()
         if self.presenter == "scripted":

@@ -1,3 +1,5 @@
+"""ITU-T P.1401, correlations that share a variable, and those of repeated measures."""
+
 from __future__ import annotations
 
 import math
@@ -10,7 +12,12 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2, pearsonr, spearmanr, t
 
-from feel321.analysis.standard import fit_monotone_cubic, p1401
+from feel321.analysis.standard import (
+    compare_dependent,
+    fit_monotone_cubic,
+    p1401,
+    repeated_measures_correlation,
+)
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -167,3 +174,109 @@ def test_a_left_out_edge_is_not_thrown_off() -> None:
     assert result.mapped[metric > 0.5] == pytest.approx(result.mapped[metric > 0.5].mean())
     assert 40 < result.mapped.min() < result.mapped.max() < 70
     assert any("6 items lie beyond" in note for note in result.notes)
+
+
+PRINTED = [
+    # Zou (2007), overlapping correlations
+    ((0.396, 0.179, 0.088, 66), {"zou_low": -0.093, "zou_high": 0.517}, 5e-4),
+    # Steiger (1980), Psychological Bulletin 87, 245-251, case A; Meng et al. (1992)
+    ((0.4, 0.5, 0.1, 103), {"steiger_z": -0.89}, 5e-3),
+    ((0.63, -0.03, -0.19, 15), {"meng_z": 1.68}, 5e-3),
+    # R's psych 2.2.9: r.test(n = 103, .4, .5, .1) and so on
+    ((0.4, 0.5, 0.1, 103), {"williams_t": -0.8912799, "williams_p": 0.3749185}, 1e-7),
+    ((0.9, -0.2, -0.3, 12), {"williams_t": 3.702096, "williams_p": 0.004904615}, 1e-6),
+    ((0.396, 0.179, 0.088, 66), {"williams_t": 1.380949, "williams_p": 0.1721738}, 1e-6),
+    ((0.5, 0.4, 0.3, 103), {"williams_t": 0.996900779735, "williams_p": 0.321218841518}, 1e-11),
+    ((-0.3, 0.2, 0.1, 50), {"williams_t": -2.75917119688663, "williams_p": 0.00823268299379}, 1e-11),
+    ((0.9, 0.7, 0.8, 20), {"williams_t": 2.95071533320257, "williams_p": 0.00894579777683}, 1e-11),
+    # cocor 1.1 (doi 10.1371/journal.pone.0121945), in the documentation of R's rmcorr
+    (
+        (0.8065821, 0.2383, 0.2255, 177),
+        {"williams_t": 9.3823, "williams_df": 174, "steiger_z": 8.5460, "meng_z": 8.3907, "zou_low": 0.4288,
+         "zou_high": 0.7139},
+        3e-4,
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "printed", "digits"), PRINTED)
+def test_printed_examples_of_dependent_correlations(
+    arguments: tuple[float, float, float, int], printed: dict[str, float], digits: float
+) -> None:
+    result = compare_dependent(*arguments)
+    assert {name: result[name] for name in printed} == pytest.approx(printed, abs=digits)
+
+
+correlations = st.floats(-0.95, 0.95)
+
+
+@settings(deadline=None)  # the first call imports scipy.stats
+@given(r_jk=correlations, r_jh=correlations, r_kh=correlations, n=st.integers(4, 500))
+def test_exchange_turns_every_sign(r_jk: float, r_jh: float, r_kh: float, n: int) -> None:
+    if 1 - r_jk**2 - r_jh**2 - r_kh**2 + 2 * r_jk * r_jh * r_kh < 0:
+        return
+    there, back = compare_dependent(r_jk, r_jh, r_kh, n), compare_dependent(r_jh, r_jk, r_kh, n)
+    for name in ("williams_t", "steiger_z", "meng_z", "difference"):
+        assert getattr(there, name) == pytest.approx(-getattr(back, name), nan_ok=True)
+    assert there.zou_low == pytest.approx(-back.zou_high)
+    assert there.zou_low <= there.difference <= there.zou_high
+
+
+def test_independent_items_hold_the_size() -> None:
+    """Where its model is true, each test is: 5 % of trivariate normal samples with equal correlations."""
+    rng = np.random.default_rng(2)
+    corr = np.array([[1, 0.5, 0.5], [0.5, 1, 0.6], [0.5, 0.6, 1]])
+    hits = np.zeros(4)
+    for _ in range(600):
+        r = np.corrcoef(rng.multivariate_normal(np.zeros(3), corr, 40).T)
+        result = compare_dependent(r[0, 1], r[0, 2], r[1, 2], 40)
+        p = np.array([result.williams_p, result.steiger_p, result.meng_p])
+        hits += np.append(p < 0.05, not result.zou_low <= 0 <= result.zou_high)
+    assert ((hits / 600 > 0.025) & (hits / 600 < 0.08)).all()
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_a_correlation_that_is_missing_is_refused(place: int) -> None:
+    values = [0.5, 0.3, 0.4]
+    values[place] = float("nan")
+    with pytest.raises(ValueError, match="r_jk, r_jh and r_kh must be -1 to 1"):
+        compare_dependent(*values, 40)
+
+
+def make_rows(
+    seed: int = 0, n: int = 40, people: int = 5
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    participant = rng.permutation(np.arange(n) % people)
+    x = rng.normal(size=n)
+    return x, 0.8 * x + rng.normal(size=n) - 5 * participant, participant
+
+
+def test_it_is_the_common_slope_of_an_analysis_of_covariance() -> None:
+    import statsmodels.api as sm
+
+    x, y, participant = make_rows()
+    dummies = np.eye(5)[participant]
+    fit = sm.OLS(y, np.column_stack([x, dummies])).fit()
+    result = repeated_measures_correlation(x, y, participant)
+    assert result.df == fit.df_resid
+    assert result.p == pytest.approx(fit.pvalues[0])
+    assert result.r == pytest.approx(fit.tvalues[0] / math.sqrt(fit.tvalues[0] ** 2 + fit.df_resid))
+
+
+@pytest.mark.parametrize(("place", "name"), [(0, "x"), (1, "y")])
+def test_no_variation_inside_is_said(place: int, name: str) -> None:
+    rows = list(make_rows())
+    rows[place] = 33.3 * rows[2]
+    result = repeated_measures_correlation(*rows)
+    assert math.isnan(result.r)
+    assert math.isnan(result.p)
+    assert result.notes == (f"No correlation: {name} does not vary within any participant.",)
+
+
+def test_the_interval_has_two_degrees_of_freedom_less_than_cases() -> None:
+    x, y = [0.1, 0.2, 0.4, 0.6, 0.7, 0.9], [60, 65, 75, 30, 38, 45]
+    found = repeated_measures_correlation(x, y, list("aaabbb"))
+    half = 1.959964 / math.sqrt(found.df - 1)
+    ends = [math.tanh(math.atanh(found.r) + sign * half) for sign in (-1, 1)]
+    assert [found.low, found.high] == pytest.approx(ends, rel=1e-6)
