@@ -4,6 +4,8 @@
 An error is one line on stderr.
 """
 
+from __future__ import annotations
+
 import errno
 import inspect
 import os
@@ -20,7 +22,7 @@ from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from types import SimpleNamespace
-from typing import Annotated, Any, NoReturn, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, get_args, get_type_hints
 
 from cyclopts import App, Argument, CycloptsError, Parameter, UnusedCliTokensError
 from cyclopts.annotations import resolve_optional
@@ -32,6 +34,14 @@ from feel321.study import options, signals, study
 from feel321.study.folder import SETTINGS_FILE, Outcome, StudyFolder, UsageError, require_study
 from feel321.study.study import Study
 from feel321.study.terminal import CALL, Call, cap, dump_json, echo, wants_bar, warn
+
+if TYPE_CHECKING:
+    from feel321.analysis.report.write import Results
+    from feel321.stimuli.sets.manifest import StimulusSet
+    from feel321.study.folder import Audit, Problems, Seal
+    from feel321.study.power import StudyPower
+    from feel321.study.session.ports import Place
+    from feel321.study.status import Status
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
@@ -281,7 +291,7 @@ def finish(outcome: Outcome | None, *, as_json: bool) -> int:
 # What is printed of results that are more than an outcome.
 
 
-def show_problems(study: Study, found: Any) -> Outcome:  # noqa: ANN401 - see `SHOWN`
+def show_problems(study: Study, found: Problems) -> Outcome:
     """Show what stands in the way of a study; warnings go to stderr."""
     for text in (*cap(found.remarks), *cap(found.warnings)):
         warn(text)
@@ -291,10 +301,10 @@ def show_problems(study: Study, found: Any) -> Outcome:  # noqa: ANN401 - see `S
     warnings = (*found.remarks, *found.warnings)
     facts = {"problems": found.problems, "warnings": warnings, "notes": found.notes}
     lines = [*(cap(found.problems) or [good]), *found.notes]
-    return Outcome(facts | found.figures, lines, failed=bool(found.problems))
+    return Outcome({**facts, **found.figures}, lines, failed=bool(found.problems))
 
 
-def show_set(study: Study, found: Any) -> Outcome:  # noqa: ANN401
+def show_set(study: Study, found: StimulusSet) -> Outcome:
     """Show how many stimuli there are, and what is worth knowing of their gains."""
     from feel321.study.strength import describe_built
 
@@ -304,7 +314,7 @@ def show_set(study: Study, found: Any) -> Outcome:  # noqa: ANN401
     return Outcome(facts, [f"{folder}: {count} stimuli, set {found.sha256[:12]}", *cap(notes)])
 
 
-def show_simulated(study: Study, found: Any) -> Outcome:  # noqa: ANN401
+def show_simulated(study: Study, found: tuple[int, int]) -> Outcome:
     """Show how many ratings there are, and what was planted in them."""
     from feel321.study.simulation import regress_planted
 
@@ -318,23 +328,23 @@ def show_simulated(study: Study, found: Any) -> Outcome:  # noqa: ANN401
     return Outcome(facts, [f"{file}: {rows} ratings", f"planted{said}"])
 
 
-def show_status(_study: Study, found: Any) -> Outcome:  # noqa: ANN401
+def show_status(_study: Study, found: Status) -> Outcome:
     """Show the table of participants."""
     return Outcome(asdict(found), [found.summary()])
 
 
-def show_session(_study: Study, found: Any) -> Outcome:  # noqa: ANN401
+def show_session(_study: Study, found: Place) -> Outcome:
     """Show nothing: the session has said how far it is."""
     return Outcome({}, failed=bool(found.stopped))
 
 
-def show_page(_study: Study, found: Any) -> Outcome:  # noqa: ANN401
+def show_page(_study: Study, found: Results | StudyPower) -> Outcome:
     """Show where the page is, below the answer if there is one."""
     answer = [found.summary()] if hasattr(found, "answer") else []
     return Outcome(found.path / "results.json", [*answer, str(found.path / "index.html")])
 
 
-def show_audit(study: Study, found: Any) -> Outcome:  # noqa: ANN401
+def show_audit(study: Study, found: Audit) -> Outcome:
     """Show the findings, file by file."""
     by_file: dict[str, list[str]] = defaultdict(list)
     for text in found.findings:
@@ -349,7 +359,7 @@ def show_audit(study: Study, found: Any) -> Outcome:  # noqa: ANN401
     return Outcome(asdict(found), lines, failed=bool(found.findings))
 
 
-def show_seal(study: Study, found: Any) -> Outcome:  # noqa: ANN401
+def show_seal(study: Study, found: Seal) -> Outcome:
     """Show the checkpoint, and where it was pushed to."""
     for problem in found.problems:
         warn(problem)

@@ -140,7 +140,7 @@ def run_participant(
     if simulated:
         seed = settings.study.seed if seed is None else seed
         room = replace(room, casting=Casting(make_model(settings), seed))
-    plan = plan_sessions(room, settings, [participant], simulated=simulated)[0]
+    plan = plan_sessions(room, [participant], simulated=simulated)[0]
     own = make_progress(study.read_person(study.sessions / plan.participant))
     if own.state == "finished":  # No window is opened for it.
         return Place(own.answered, own.total, given_up=own.given_up)

@@ -69,10 +69,9 @@ def read_room(study: StudyFolder, *, now: Clock) -> Room:
     return open_room(study, read_settings(study.settings), read_stimuli(study.stimuli), now=now)
 
 
-def plan_sessions(
-    room: Room, settings: Settings, participants: Sequence[str], *, simulated: bool
-) -> list[Plan]:
+def plan_sessions(room: Room, participants: Sequence[str], *, simulated: bool) -> list[Plan]:
     """Give participants their numbers in the design, and plan their sessions."""
+    settings = room.settings
     design = make_design(settings)
 
     def make(name: str, number: int) -> Plan:

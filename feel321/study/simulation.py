@@ -95,7 +95,7 @@ def _run_sessions(
 ) -> list[str]:
     """Run the sessions of simulated participants; finished ones are kept, broken ones resumed."""
     settings, names = room.settings, list_participants(room.study, participants)
-    plans = plan_sessions(room, settings, names, simulated=True)
+    plans = plan_sessions(room, names, simulated=True)
     casting = Casting(make_model(settings), seed)
     total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
     done, counting, stop = dict.fromkeys(names, 0), Lock(), Event()

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 WIDTH_CM, CM_PER_INCH = 14.0, 2.54
 THIN, GREY, BLACK, PALE = 0.5, "#757575", "#000000", "#DEDEDE"
-BLUE, RED = "#0072B2", "#D55E00"
 
 PAGE_COLOURS: Mapping[str, str] = MappingProxyType({
     BLACK: "ink", GREY: "faint", PALE: "line", "#FFFFFF": "paper",
@@ -192,14 +191,14 @@ STAMPS: Mapping[str, tuple[str, ...]] = MappingProxyType({
 """Format -> what matplotlib writes into its files beside the drawing: its version and the hour, which differ."""
 
 
-def save_figure(figure: Figure, stem: Path, *, formats: Sequence[str] = ("svg", "png")) -> None:
+def save_figure(figure: Figure, stem: Path) -> None:
     """Write a figure as vector and as bitmap."""
     with print_style():
         if engine := figure.get_layout_engine():
             # Everything gets its place once, for every format, and nothing is drawn for that.
             engine.execute(figure)
             figure.set_layout_engine(None)
-        for name in formats:
+        for name, stamps in STAMPS.items():
             # A name may end in what looks like a suffix: dft_v1.5.
             path = stem.with_name(f"{stem.name}.{name}")
-            figure.savefig(path, dpi=PNG_DPI, metadata=dict.fromkeys(STAMPS[name]))
+            figure.savefig(path, dpi=PNG_DPI, metadata=dict.fromkeys(stamps))

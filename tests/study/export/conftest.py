@@ -128,7 +128,7 @@ def hold_sessions(study: StudyFolder, names: list[str], scripted: Present, now: 
         },
         "experimenter": PLANTED["person"],
     }
-    for place, plan in enumerate(plan_sessions(room, settings, names, simulated=False)):
+    for place, plan in enumerate(plan_sessions(room, names, simulated=False)):
         own = make_presenter(scripted, place)
         lead_session(
             room, plan, identity=identity, make_presenter=lambda *_, own=own: nullcontext(own)

@@ -38,7 +38,7 @@ def main(path: Path, participant: str, seed: int, sleep_s: float) -> None:
     study = StudyFolder(path)
     settings, stimuli = read_settings(study.settings), read_stimuli(study.stimuli)
     room = open_room(study, settings, stimuli, now=utc_now)
-    plan = plan_sessions(room, settings, [participant], simulated=True)[0]
+    plan = plan_sessions(room, [participant], simulated=True)[0]
     casting = Casting(make_model(settings), seed)
 
     @contextmanager
