@@ -340,9 +340,9 @@ def draw_certificate(certificate: Certificate, stem: Path) -> None:
             left = np.interp(at_hz, coil.frequency_hz, coil.equalised) / coil.target
             inverse = coil.find_filter(at_hz, rate_hz=certificate.rate_hz)
             for size, name, colour in (
-                (own, "without filter", style.RED),
+                (own, "without filter", style.OKABE_ITO[1]),
                 (inverse, "filter", style.OKABE_ITO[2]),
-                (left, "with filter", style.BLUE),
+                (left, "with filter", style.OKABE_ITO[0]),
             ):
                 level_db = 20 * np.log10(np.maximum(np.abs(size), 1e-9))
                 axes.plot(at_hz, np.maximum(level_db, FLOOR_DB), color=colour, label=name)
@@ -359,4 +359,4 @@ def draw_certificate(certificate: Certificate, stem: Path) -> None:
         figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
         verdict = "did not pass" if certificate.failures else "passed"
         style.add_title(figure, f"{certificate.id} ({certificate.method}): {verdict}")
-        style.save_figure(figure, stem, formats=("svg",))
+        style.save_figure(figure, stem)

@@ -270,7 +270,7 @@ def test_the_verb_stores_a_certificate_and_its_figure(
     assert first.startswith(f"certificate {certificate.id} (measured): passed; valid until ")
     assert left == "left coil:"
     files = sorted(path.suffix for path in (tmp_path / "calibration").iterdir())
-    assert files == [".json", ".svg"]
+    assert files == [".json", ".png", ".svg"]
     found = judge_certificates(tmp_path, rig, now=MADE, rate_hz=RATE_HZ)[0]
     assert found is not None
     assert found.id == certificate.id
