@@ -42,7 +42,12 @@ def calibrate_rig(
     lab: OpenStudy, *, device: str | None, manual: Sequence[str], redesign: bool
 ) -> Outcome:
     """Measure the coils, or take typed gains, and store a certificate."""
-    from feel321.study.actuator.certificate import make_manual, write_certificate
+    from feel321.study.actuator.certificate import (
+        FOLDER,
+        draw_certificate,
+        make_manual,
+        write_certificate,
+    )
     from feel321.study.actuator.render import find_directions
 
     folder = lab.folder
@@ -58,6 +63,7 @@ def calibrate_rig(
     else:
         made = _measure(lab, rig, rate_hz=rate_hz, redesign=redesign)
     certificate = write_certificate(made, folder.path)
+    draw_certificate(certificate, folder.path / FOLDER / certificate.id)
     passed = not certificate.failures
     facts = asdict(certificate) | {"passed": passed}
     for coil in facts["coils"].values():

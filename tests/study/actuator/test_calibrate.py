@@ -20,6 +20,7 @@ from feel321.study.actuator import output as output_module
 from feel321.study.actuator.calibrate import Calibration, find_failures, propose_band
 from feel321.study.actuator.certificate import (
     Certificate,
+    draw_certificate,
     judge_certificates,
     list_certificates,
     write_certificate,
@@ -258,7 +259,7 @@ def call(study: Path, *arguments: str) -> int:
     return main(["calibrate", str(study), *arguments])
 
 
-def test_the_verb_stores_a_certificate(
+def test_the_verb_stores_a_certificate_and_its_figure(
     rig: Rig, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any,
     certificate: Certificate,
 ) -> None:  # fmt: skip
@@ -269,7 +270,7 @@ def test_the_verb_stores_a_certificate(
     assert first.startswith(f"certificate {certificate.id} (measured): passed; valid until ")
     assert left == "left coil:"
     files = sorted(path.suffix for path in (tmp_path / "calibration").iterdir())
-    assert files == [".json"]
+    assert files == [".json", ".png", ".svg"]
     found = judge_certificates(tmp_path, rig, now=MADE, rate_hz=RATE_HZ)[0]
     assert found is not None
     assert found.id == certificate.id
@@ -448,3 +449,12 @@ def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:
     assert output_module.Bench.play_sweep(bench, sent, sweep, 1) is whole
     with pytest.raises(OSError, match=r"are \d+ samples out of step, 4 times in a row"):
         output_module.Bench.play_sweep(bench, sent, sweep, 1)
+
+
+def test_the_figure_shows_response_filter_and_what_is_left(
+    certificate: Certificate, tmp_path: Path
+) -> None:
+    draw_certificate(certificate, tmp_path / "drawn")
+    drawn = (tmp_path / "drawn.svg").read_text(encoding="utf-8")
+    for words in ("without filter", "with filter", "limits", "left coil", "right coil"):
+        assert words in drawn
