@@ -168,3 +168,24 @@ def test_verdicts_without_flagged_raters_are_adjusted_as_the_primary_ones(
     ]  # fmt: skip
     metrics = {row["metric"] for row in list_changes(conclude_panels(rows))}
     assert metrics == ({"spectral_match", "temporal_match"} if changes else set())
+
+
+@pytest.mark.parametrize("scales", [["realism"], ["realism", "roughness"]])
+def test_the_first_line_on_correlations_says_what_they_are_and_that_they_are_not_the_slopes(
+    scales: list[str],
+) -> None:
+    r = {"value": 0.7, "low": 0.4, "high": 0.9}
+    found = [{"metric": "spectral_match", "r": r, "covers": False, "why": ""}]
+    panels = [
+        {"subject": scale.capitalize(), "found": found, "differences": [], "n_items": 9, "ceiling": math.nan}
+        for scale in scales
+    ]  # fmt: skip
+    ranges = [{"metric": "spectral_match", "low": 0.7, "high": 0.7}]
+    first, *rest = render_words("metrics", panels=panels, map="", ranges=ranges, further={})
+    assert first.startswith(
+        "Realism, over all 9 stimuli pooled: r = 0.70 with spectral match"
+        if len(scales) == 1
+        else "Over all stimuli pooled, mean ratings correlate with spectral match at r = 0.70"
+    )
+    assert "That is another question than the slopes answer" in first
+    assert not any("another question" in line for line in rest)

@@ -69,11 +69,15 @@ def test_every_task_loads(lab: StudyFolder) -> None:
     # Three pairs and two catch trials; with the recording itself six pairs.
     assert counts["triplet"].to_dict() == {"pair": 3 * 2 * 5}
     assert counts["preference"].to_dict() == {"pair": 3 * 2 * 8}
-    assert list(table.notes) == [
+    *notes, strength = table.notes
+    assert notes == [
         "Scale 'mushra': 36 judgements were made against what 'dft321' made of the recording; the metrics compare with "
         "the recording: none enters an association or a slope.",
         "Scale 'similarity': 36 judgements were made against the real surface; the metrics compare with the recording.",
     ]
+    assert strength.startswith(
+        "Scale 'similarity': beside the real surface, stimuli were played at "
+    )
 
 
 def test_every_task_has_its_place_in_the_report(lab: StudyFolder) -> None:

@@ -68,18 +68,8 @@ RIGS = ("rig", "calibration")
 """Columns on what participants felt the stimuli on; there where they differ."""
 
 COLUMNS = (
-    "estimate",
-    "se",
-    "df",
-    "t",
-    "p",
-    "low",
-    "high",
-    "standardised",
-    "standardised_low",
-    "standardised_high",
-)
-"""fmt: skip."""
+    "estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high",
+)  # fmt: skip
 
 TENTHS = ("tenth", "tenth_low", "tenth_high")
 

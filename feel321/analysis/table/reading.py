@@ -50,20 +50,13 @@ ROSTER = frozenset({
 """Columns on the progress of a participant; all others, but for the participant's name, are labels."""
 
 OPTIONAL = (
-    "protocol",
-    "response_time_s",
-    schema.AMPLITUDE,
-    schema.SENSATION,
-    schema.ERROR,
-    schema.SOURCE,
-)
-"""fmt: skip."""
-
+    "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
+)  # fmt: skip
 """Columns that judgements keep where there are any."""
 
-JUDGEMENT = "participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id", OTHER
-"""fmt: skip."""
-
+JUDGEMENT = (
+    "participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id", OTHER,
+)  # fmt: skip
 """What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
 repeats are counted instead, so does what it was judged against."""
 
@@ -418,6 +411,12 @@ def _note_references(rows: DataFrame, references: Series) -> Iterator[str]:
         is_usual = reference in {SURFACED, UNLISTED}
         fate = "" if is_usual else ": none enters an association or a slope"
         yield f"Scale '{scale}': {against}; the metrics compare with the recording{fate}."
+        if reference == SURFACED and schema.GAIN in part:
+            gains = part.loc[part[ROLE] != "anchor", schema.GAIN].dropna()
+            span = " to ".join(dict.fromkeys(f"{end:.3g}" for end in (gains.min(), gains.max())))
+            played = f"stimuli were played at {span} times the strength that was recorded"
+            if (gains != 1).any():
+                yield f"Scale '{scale}': beside the real surface, {played}: ratings mix strength with likeness."
 
 
 # Further metrics, and labels of the participants.
@@ -535,11 +534,18 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
 
 
 def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
-    """Say which stimuli nobody rated, and which metrics some of those that were rated lack."""
+    """Say which stimuli nobody rated or felt, which scales have no test stimulus, and which metrics some lack."""
     apart, tests = rows[rows["scale"].isin(schema.APART)], rows[rows[ROLE] == TEST]
     rated = {*rows[STIMULUS], *apart["reference_id"], *apart["other_id"]}
     if unrated := [str(name) for name in manifest.index if name not in rated]:
         yield f"{len(unrated)} of {len(manifest)} stimuli of the manifest were rated by nobody: {list_names(unrated)}."
+    if schema.SENSATION in manifest:
+        weak = [str(name) for name in manifest.index[manifest[schema.SENSATION] < 0]]
+        which = f"{len(weak)} of {len(manifest)} stimuli were played below the detection threshold"
+        if weak:
+            yield f"{which}: {list_names(weak)}."
+    for scale in sorted({*rows["scale"]} - {*tests["scale"]} - {*schema.APART}):
+        yield f"Scale {shorten(scale)} was rated on references and anchors only: it has no association."
     for name in (name for name in metrics_of.describe_explored(metrics) if name in rows):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
         if len(lacking):

@@ -39,6 +39,7 @@ RATED = [
     (repeat_row, "1 judgements differ from an earlier one in their trial only: each counts as a further repeat."),
     (lambda f: f.assign(rating=(f["rating"].astype(float) / 20).round() + 1), "run from 2 to 5: if 100 was not its up"),
     (lambda f: f.assign(simulated=f["participant"] == "p01"), "96 judgements of 1 simulated participants are left out"),
+    (lambda f: f.assign(scale=f["scale"].mask(f["reducer"] == "original", "comfort")), "Scale 'comfort' was rated on"),
     (lambda f: f.assign(underruns=(f["trial"].astype(int) < 3).astype(int)), "4 judgements of 2 participants were"),
     (lambda f: f.assign(protocol=f["repeat"]), "Scale 'realism' was judged in 2 protocols, which are taken together:"),
     (lambda f: f.assign(participant=f["participant"].replace("p01", "p00\u200b")), "capitals, accents or blanks only"),
@@ -62,6 +63,7 @@ LISTED = [
     (lambda f: f.assign(colour="red"), "manifest.csv: columns that are not used: 'colour'."),
     (lambda f: f.assign(temporal_match=""), "manifest.csv has nothing in a column 'temporal_match', so that metric is"),
     (lambda f: f.assign(level=""), "manifest.csv has nothing in a column 'level': every stimulus is taken as 'as_is'."),
+    (lambda f: f.assign(sensation_level_db=[-1.5, -2, *[9] * (len(f) - 2)]), "2 of 48 stimuli were played below the"),
     (lambda f: f.assign(source=f["recording"].str[:3]), "The 4 recordings come from 1 source, turned, cut or edited"),
 ]  # fmt: skip
 
