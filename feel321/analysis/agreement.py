@@ -18,19 +18,15 @@ from feel321.records import Statistic
 UPPER = (1 + CONFIDENCE) / 2
 NAN = float("nan")
 
-CHUNK = 1_000_000
-"""Pairs of values compared at a time."""
+CHUNK = 1_000_000  # Pairs of values compared at a time
 
 LEVELS = ("nominal", "ordinal", "interval", "ratio")
 """Levels of measurement."""
 
 AXES = ("targets", "raters")
 
-SMALLEST = 2
-"""Ratings that can agree; targets and raters that a variance needs at least."""
-
-COMPLETE = 0.5
-"""Share of the stimuli that everyone must have rated for a ceiling of all of them."""
+SMALLEST = 2  # Ratings that can agree; targets and raters that a variance needs at least
+COMPLETE = 0.5  # Share of the stimuli that everyone must have rated for a ceiling of all of them
 
 
 def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> float:

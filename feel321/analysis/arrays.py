@@ -18,8 +18,7 @@ CONFIDENCE = 0.95
 FLAT = 1e-24
 """Share of a sum of squares below which its centred part is rounding error: the values are all the same."""
 
-PERFECT = 1 - 1e-12
-"""From here on a correlation is perfect to rounding error."""
+PERFECT = 1 - 1e-12  # From here on a correlation is perfect to rounding error
 
 
 def read_numbers(given: object, *, what: str) -> Values:

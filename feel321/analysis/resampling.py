@@ -28,11 +28,8 @@ if TYPE_CHECKING:
 BLOCK = 4_000_000
 """Numbers that an array of draws may hold: 32 MB, so that a million rows need no gigabytes."""
 
-STILL = 1e-12
-"""Spread of draws up to which they are all the same but for rounding error."""
-
-FEWEST_ITEMS = 3
-"""Two points always lie on a line."""
+STILL = 1e-12  # Spread of draws up to which they are all the same but for rounding error
+FEWEST_ITEMS = 3  # Two points always lie on a line
 
 TIED = 40
 """Binary digits of a mean rating that count for its rank; the others, below 1e-12 of it, are rounding error."""

@@ -37,20 +37,17 @@ NORMAL_QUANTILE = 1.96
 """The standard's rounded quantile; also for an item's interval from 30 votes on."""
 
 MANY_VOTES = 30
-FEW_ITEMS = 30
-"""With fewer items a cubic bends to noise: the first order leads."""
+FEW_ITEMS = 30  # With fewer items a cubic bends to noise: the first order leads
 
 MOST_FOLDS = 200
 """Groups that are left out one at a time; of more, several together, or a corpus would take hours."""
 
-FEWEST = 4
-"""Cases that Fisher's z and Williams' t need at least: both divide by n - 3."""
+FEWEST = 4  # Cases that Fisher's z and Williams' t need at least: both divide by n - 3
 
 UPPER = (1 + CONFIDENCE) / 2
 NAN = float("nan")
 
-Fit = Callable[[Values, Values], Polynomial]
-"""Fits the mapping from metric to MOS."""
+Fit = Callable[[Values, Values], Polynomial]  # Fits the mapping from metric to MOS
 
 
 def fit_monotone_cubic(

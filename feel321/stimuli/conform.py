@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 RATE_HZ = 10_000.0
 LENGTHS = (1, 2, 3, 64, 97, 1000)
 LONG = 5000
-FLOAT32 = 1e-5
-"""Relative deviation that files of 32-bit floats allow."""
+FLOAT32 = 1e-5  # Relative deviation that files of 32-bit floats allow
 ROUNDING = 1e-9
 BLOCKS = (0, 1, 7, 64, 500)
 

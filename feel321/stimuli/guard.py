@@ -25,11 +25,8 @@ from feel321.stimuli.recording import check_acceleration
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.types import MetricInfo, Samples
 
-TIMEOUT_S = 60.0
-"""How long a command may take for one signal, unless its table says `timeout_s`."""
-
-SLACK = 1e-9
-"""What rounding may add to a metric's declared bounds."""
+TIMEOUT_S = 60.0  # How long a command may take for one signal, unless its table says `timeout_s`
+SLACK = 1e-9  # What rounding may add to a metric's declared bounds
 
 
 def _call_on_copies(

@@ -47,8 +47,7 @@ WEBER_FRACTION = 0.22
 """Smallest relative change of vibration frequency that people notice; full width of the smoothing over its centre."""
 
 LOWEST_HZ = 20.0
-HIGHEST_HZ = 1000.0
-"""Range in which Pacinian corpuscles, and so the metrics, are sensitive."""
+HIGHEST_HZ = 1000.0  # Range in which Pacinian corpuscles, and so the metrics, are sensitive
 
 NUMERICAL_FLOOR = 1e-12
 """Frequencies whose smoothed energy is below this share of the recording's mean energy per bin are left out: there the
@@ -80,8 +79,7 @@ def linear_grid(n_samples: int, rate_hz: float) -> Samples:
     return np.arange(first, last + 1, dtype=np.float64) * spacing
 
 
-PER_OCTAVE = 24
-"""Points of a logarithmic grid."""
+PER_OCTAVE = 24  # Points of a logarithmic grid
 
 
 def log_grid(n_samples: int, rate_hz: float) -> Samples:

@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 Signal: TypeAlias = "Recording | Reduced | ArrayLike"
 """A recording, a reduced one, or plain samples, which come with their rate."""
 
-STANDARD_GRAVITY = 9.80665
-"""m/s² per g, CGPM 1901."""
+STANDARD_GRAVITY = 9.80665  # m/s² per g, CGPM 1901
 
 UNITS = {"m/s^2": 1.0, "g": STANDARD_GRAVITY, "mg": STANDARD_GRAVITY / 1000}
 """Accepted units of acceleration, each with its size in m/s²."""

@@ -260,8 +260,7 @@ def pacinian_power_difference(pair: Pair) -> Samples:
 
 FASTEST_HZ = 50.0
 SLOWEST_HZ = 2.0
-N_BANDS = 9
-"""Half an octave each from 2 to 50 Hz."""
+N_BANDS = 9  # Half an octave each from 2 to 50 Hz
 
 # An envelope that varies by less than this share of its mean is constant but for rounding.
 _CONSTANT = 1e-6
@@ -340,11 +339,8 @@ PUBLISHED_HZ = 8000.0
 SUPPORT_DB = 12.0
 """Spread of the normal distribution by which a level over the threshold counts as felt."""
 
-TEMPORAL_SHARE = 2 / 3
-"""Exponent of ST-SIM's temporal part; the spectral part has the rest."""
-
-SLOPE, OFFSET = 0.3, -2.0
-"""Of SPQI's step from an error in dB to a score."""
+TEMPORAL_SHARE = 2 / 3  # Exponent of ST-SIM's temporal part; the spectral part has the rest
+SLOPE, OFFSET = 0.3, -2.0  # Of SPQI's step from an error in dB to a score
 
 # A block that is nowhere felt with more than this chance is silent.
 _NOT_FELT = 1e-6

@@ -79,8 +79,7 @@ def make_scene(
     return Recording(_join_scenes(parts, time_s, rng), rate_hz, "-".join(parts))
 
 
-JOINT_S = 0.01
-"""Rise and fall of each of several scenes that follow one another."""
+JOINT_S = 0.01  # Rise and fall of each of several scenes that follow one another
 
 
 def split_scene(name: str) -> tuple[str, ...]:

@@ -21,11 +21,8 @@ BYTE_ORDERS = {b"RIFF": "<", b"RIFX": ">"}
 """The container names that are read, each with its byte order in `struct` notation."""
 
 IEEE_FLOAT, PCM = 0x0003, 0x0001
-EXTENSIBLE = 0xFFFE
-"""Codings in a format chunk; the last says that the true one stands further on."""
-
-EXTENSIBLE_BYTES = 40
-"""The length of the longest format chunk."""
+EXTENSIBLE = 0xFFFE  # Codings in a format chunk; the last says that the true one stands further on
+EXTENSIBLE_BYTES = 40  # The length of the longest format chunk
 
 SAMPLE_BITS = {PCM: range(1, 65), IEEE_FLOAT: (32, 64)}
 """Codings that are read, each with the allowed bits per sample."""

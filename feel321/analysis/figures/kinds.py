@@ -27,13 +27,11 @@ if TYPE_CHECKING:
     from feel321.records import Statistic
 
 PLAIN = Look(style.BLACK, "o")
-AXIS_CM, LABEL_CM = 1.5, 4.4
-"""Room for an axis's numbers and its label, and for a row's name."""
+AXIS_CM, LABEL_CM = 1.5, 4.4  # Room for an axis's numbers and its label, and for a row's name
 
 # Forest: estimates with intervals, one row each.
 
-ROW_CM, MARK_CM = 0.46, 0.24
-"""Height of a row, and of each further mark in it."""
+ROW_CM, MARK_CM = 0.46, 0.24  # Height of a row, and of each further mark in it
 
 FARTHEST = 6.0
 """An interval is cut, with an arrow, where it is this many times as wide as the range of the estimates and of half
@@ -312,8 +310,7 @@ def plot_profile(
 # Map of stimuli: what people tell apart, and how sure each place is.
 
 MAP_CM = 8.0
-ORIGINAL, STAR = "original", Look(style.BLACK, "*")
-"""The hidden reference, and how it is drawn."""
+ORIGINAL, STAR = "original", Look(style.BLACK, "*")  # The hidden reference, and how it is drawn
 
 
 def draw_space(space: Statistic, names: Sequence[str]) -> Figure:

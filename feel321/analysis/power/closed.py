@@ -31,18 +31,13 @@ from feel321.analysis.primary.plan import find_most_df
 if TYPE_CHECKING:
     from feel321.types import Samples
 
-MOST_PEOPLE, MOST_RECORDINGS = 10_000, 1000
-"""Nobody recruits or records more."""
-
-DRAWS = 25
-"""Of stimuli, where a design draws them."""
+MOST_PEOPLE, MOST_RECORDINGS = 10_000, 1000  # Nobody recruits or records more
+DRAWS = 25  # Of stimuli, where a design draws them
 
 WIDER = (20, 100, 1000, 10_000)
 """Standard errors within which the slope is sought that is found with the wanted power."""
 
-FLAT = 1e-9
-"""Share of a metric's size below which what the others leave of it is rounding."""
-
+FLAT = 1e-9  # Share of a metric's size below which what the others leave of it is rounding
 Error = tuple[float, float]  # A standard error and its degrees of freedom
 NO_TEST: Error = (math.nan, math.nan)
 

@@ -44,9 +44,7 @@ WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
 SOURCE, REDUCER = "source", "reducer"
 KEYS = (WHO, SCENE, ITEM)
 
-ALIKE = f"{SOURCE}:{REDUCER}"
-"""Stimuli of one source that were reduced alike."""
-
+ALIKE = f"{SOURCE}:{REDUCER}"  # Stimuli of one source that were reduced alike
 LEVEL = "level_db"  # Level of a stimulus less the mean of its recording's: a term of the model, and no hypothesis
 AMPLITUDE = "rms_m_s2"
 LEVELS = ("sensation_level_db", AMPLITUDE, "level_difference")

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from feel321.analysis.report.section import Picture
 
 PAGE, DETAILS, RESULTS = "index.html", "details.html", "results.json"
-METHODS = "methods.md"
-"""The methods section, which the study writes beside a report."""
+METHODS = "methods.md"  # The methods section, which the study writes beside a report
 
 OWN = re.compile(
     r"index\.html|details\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv"

@@ -216,8 +216,7 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
 
 # Dissimilarities: the perceptual map, and what its axes are associated with.
 
-DRAWS = 200
-"""Maps drawn anew; each takes a fit."""
+DRAWS = 200  # Maps drawn anew; each takes a fit
 
 
 def compute_space(table: Table, choices: Choices) -> Found:

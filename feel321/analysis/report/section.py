@@ -221,8 +221,7 @@ class Picture:
         return self.drawing() if callable(self.drawing) else self.drawing
 
 
-SLUG_PART = 40
-"""Characters of a name that a file's name keeps."""
+SLUG_PART = 40  # Characters of a name that a file's name keeps
 
 
 def make_slug(*parts: str) -> str:
@@ -344,8 +343,7 @@ def find_table_steps(table: Table) -> dict[str, Step]:
 MOST_DENSE, MOST_PRODUCTS = 1500, 40_000_000
 """Random effects besides those of the largest group, which make a dense matrix; of those and the largest group's."""
 
-FEWEST = 8
-"""Participants and recordings are not thinned below this."""
+FEWEST = 8  # Participants and recordings are not thinned below this
 
 
 def thin_parts(

@@ -66,20 +66,17 @@ FAILURES: Mapping[str, tuple[str, str]] = MappingProxyType({
 """What a reducer can fail by -> where the number is in the frame. It keeps less than a tenth of the energy; puts more
 than a tenth of an onset's energy before it; or a disturbance changes more than a tenth of the output's energy."""
 
-RATINGS = "ratings"
-"""What a reducer is said to fail by that only people object to."""
+RATINGS = "ratings"  # What a reducer is said to fail by that only people object to
 
 CLOSE = 0.3
 """A shortfall nearer to the tolerance than this share of it may be on the other side in another take."""
 
-CLOSE_FAIL_DB = 2.0
-"""As `CLOSE`, for the limit of failing."""
+CLOSE_FAIL_DB = 2.0  # As `CLOSE`, for the limit of failing
 
 NO_LEADER = 0.95
 """From this ratio of the second to the first eigenvalue on no direction leads: chance chooses the principal axis."""
 
-SAME_DB = 1e-6
-"""Shortfalls this close are equal but for rounding."""
+SAME_DB = 1e-6  # Shortfalls this close are equal but for rounding
 
 
 @dataclass(frozen=True, slots=True)

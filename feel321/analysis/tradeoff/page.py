@@ -338,8 +338,7 @@ def list_notes(result: Tradeoff) -> list[str]:
     return notes
 
 
-LITTLE_DB = 0.1
-"""Gains below this are not told."""
+LITTLE_DB = 0.1  # Gains below this are not told
 
 
 def describe_machine() -> dict[str, Any]:

@@ -287,11 +287,8 @@ def _segment_axes(frames: Samples, weights: Samples) -> tuple[Samples, Samples, 
     return leading_axis(covariance), np.where(constant, 0.0, variation), np.asarray(constant)
 
 
-MOST_GAIN = 10.0
-"""Largest gain of a single axis: 20 dB."""
-
-FORGETTING_S = 1.0
-"""Time constant with which the causal forms forget energies."""
+MOST_GAIN = 10.0  # Largest gain of a single axis: 20 dB
+FORGETTING_S = 1.0  # Time constant with which the causal forms forget energies
 
 HOLD = 0.3
 """How much a running principal axis is held where it was, as a share of the motion's energy: another direction must

@@ -123,8 +123,7 @@ AT_A_TIME = 24_576
 LONGEST = 8192
 """Longest signal that shares a call, in samples: the length at which einsum and the like cut their sums."""
 
-PIECE = 1 << 20
-"""Samples per axis of one job."""
+PIECE = 1 << 20  # Samples per axis of one job
 
 
 def reduce_many(
