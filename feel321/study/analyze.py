@@ -58,10 +58,7 @@ def analyze_study(  # noqa: PLR0913 - one per choice
     progress: Progress | None = None,
     finish: Callable[[Path], None] | None = None,
 ) -> Results:
-    """Derive the table of ratings, or take one from elsewhere, and write the report as the study declares it.
-
-    finish: writes what else belongs into the folder of the report, before the checkpoint.
-    """
+    """Derive or take the table of ratings, and write the report; finish: writes what else belongs into its folder."""
     if None in {ratings, manifest}:  # only where both come from elsewhere may there be no study
         require_study(study.path)
     settings = read_settings(study.settings) if study.settings.is_file() else None

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
     Chosen = TypeVar("Chosen")
 
-RATE_TOLERANCE_HZ = 1.0
-"""A WAV header holds whole Hz only; a recording's true rate may lie between."""
+RATE_TOLERANCE_HZ = 1.0  # A WAV header holds whole Hz only; a recording's true rate may lie between
 
 
 def reduce(

@@ -34,10 +34,7 @@ MakePresenter = Callable[[Plan, Journal], AbstractContextManager[Presenter]]
 
 @dataclass(frozen=True, slots=True)
 class Room:
-    """Where sessions are held: what those of a study share, and in a lab its screen and its rig.
-
-    casting: who sits there if nobody does. sounds: the stimuli as the rig plays them.
-    """
+    """Where sessions are held; casting: who sits there if nobody does; sounds: the stimuli as the rig plays them."""
 
     study: StudyFolder
     settings: Settings

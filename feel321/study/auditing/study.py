@@ -276,13 +276,12 @@ Row = Mapping[str, str]
 
 ANEW = "derive it anew: feel321 analyze"
 
-KEYS = {
+KEYS = {  # columns that name a row
     ROSTER_FILE: ("participant",),
     "ratings.csv": ("participant", "session", "trial", "stimulus_id", "reference_id", "scale", "other_id"),
     answers.ANSWERS_FILE: ("participant", "session", "question", "occasion"),
     MATCHES_FILE: ("participant", "trial", "stimulus_id"),
 }  # fmt: skip
-"""Columns that name a row."""
 
 COLUMNS: Mapping[str, Sequence[str]] = {
     "ratings.csv": RATING_COLUMNS, MATCHES_FILE: MATCH_COLUMNS, answers.ANSWERS_FILE: answers.COLUMNS,

@@ -157,10 +157,7 @@ def _list_results(study: StudyFolder) -> Iterator[Path]:
 
 
 def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> int:
-    """Release a participant who will not come back: the slot is free again, what was recorded is kept.
-
-    Of one who never began there is nothing to keep: the plan goes, and the code may be used again.
-    """
+    """Free the slot of a participant who will not come back; of one who never began, the code is free too."""
     folder = require_folder(study, participant)
     with hold_folder(folder):
         holder, (journal, has_begun) = read_holder(folder), _open_newest(folder, now)
@@ -185,10 +182,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
 
 
 def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) -> str:
-    """Write a note into the newest journal of a participant; returns what the experimenter should know besides.
-
-    It is chained like any other record, moves no trial, makes no old session fresh, and is in no table of ratings.
-    """
+    """Write a note into the newest journal of a participant; returns what the experimenter should know besides."""
     note, folder = NoteTaken(text), require_folder(study, participant)
     if people.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, nothing is recorded any longer")

@@ -44,17 +44,15 @@ from feel321.types import Metric, Reducer
 
 CONSENT = "consent"  # the page whose text a lab can set by itself
 
-MOST_TRIALS = 10_000
-"""Trials in a session; people do a few hundred, simulated participants somewhat more."""
+MOST_TRIALS = (
+    10_000  # trials in a session; people do a few hundred, simulated participants somewhat more
+)
 
 Group = tuple[tuple[Item, ...], tuple[Task, ...]]  # what its participants feel, and do
 
 
 def read_settings(path: Path, folder: Path | None = None) -> Settings:
-    """Read and check a `study.toml`; folder: of the study, where the file is no more than a draft of its settings.
-
-    Protocols and metrics of the lab's own have their short names in it.
-    """
+    """Read and check a `study.toml`; folder: of the study, if the file is a draft. Own methods get short names."""
     settings = parse_toml(path, Settings)
     home = folder or path.parent
     entries: list[RecordingTable] = []
@@ -342,10 +340,7 @@ def require_current_set(study: StudyFolder, settings: Settings) -> None:
 
 
 def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | None]) -> list[str]:
-    """Compare a built set with what the settings ask for.
-
-    recordings: name of each recording in the settings -> digest of its source, None where it is not known.
-    """
+    """Compare a built set with the settings; recordings: name -> digest of its source, None where it is not known."""
     built = read_details(folder)
     origins = {row.get("recording", ""): row.get("recording_sha256", "") for row in built.stimuli}
     wanted, own = json.loads(json.dumps([describe_recipe(recipe), render.list_methods(recipe)]))
