@@ -104,7 +104,8 @@ def examine(
     remarks = [*evidence.remarks, *remarks, *_audit_inputs(study), *describe_rigs(tables.people)]
     remarks += [*_guard(study.path, list_stale(study)), *filter(None, [describe_frozen(study)])]
     every = dict.fromkeys([*findings, *find_faults(study)])
-    return Audit(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)
+    said, newest = evidence.sentence, evidence.checkpoint
+    return Audit(tuple(every), tuple(remarks), said, newest, len(study.journals))
 
 
 def audit_study(study: StudyFolder) -> list[str]:
