@@ -431,9 +431,8 @@ class Bench:
 
     def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
         """Play sweeps, shape (n,), until their recordings are in step."""
-        n = len(sent)
         return self.insist(
-            lambda: self.play({channel: sent}, n=n), lambda got: find_slip(got, sweep)
+            lambda: self.play({channel: sent}, n=len(sent)), lambda got: find_slip(got, sweep)
         )
 
     def insist(self, play: Callable[[], Samples], slip_of: Callable[[Samples], int]) -> Samples:

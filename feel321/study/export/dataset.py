@@ -310,8 +310,7 @@ def count_flow(study: StudyFolder) -> dict[str, Any]:
 
 def write_methods(study: StudyFolder, report: Path) -> None:
     """Write the methods section beside a report, whose `results.json` holds the numbers."""
-    results = json.loads(intake.read_text(report / "results.json"))
-    text = make_methods(study, results)
+    text = make_methods(study, json.loads(intake.read_text(report / "results.json")))
     write_text(report / METHODS, text, private=report == study.report)
 
 

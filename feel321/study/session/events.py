@@ -262,14 +262,7 @@ class PartEvent(AttemptEvent):
 class PartPlayed(Played, PartEvent, event="played"):
     """A stimulus was played."""
 
-    optional = frozenset((
-        "measured",
-        "dac_source",
-        "delivered",
-        "delivered_sha256",
-        "fault",
-        "notice",
-    ))
+    optional = frozenset("measured dac_source delivered delivered_sha256 fault notice".split())
 
 
 class SurfaceStroked(PartPlayed, event="prompted"):
