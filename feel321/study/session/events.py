@@ -262,7 +262,14 @@ class PartEvent(AttemptEvent):
 class PartPlayed(Played, PartEvent, event="played"):
     """A stimulus was played."""
 
-    optional = frozenset("measured dac_source delivered delivered_sha256 fault notice".split())
+    optional = frozenset((
+        "measured",
+        "dac_source",
+        "delivered",
+        "delivered_sha256",
+        "fault",
+        "notice",
+    ))
 
 
 class SurfaceStroked(PartPlayed, event="prompted"):
