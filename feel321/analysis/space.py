@@ -289,15 +289,14 @@ def gather_points(
             values.append(means.loc[recording].reindex(names).to_numpy(np.float64))
     if not places:
         raise ValueError("No recording has ratings of every pair.")
-    attributes = {str(name): np.stack(values)[..., at] for at, name in enumerate(means)}
-    return np.stack(places), {name: one for name, one in attributes.items() if _varies(one)}
-
-
-def _varies(values: Values) -> bool:
-    """Whether enough stimuli have a number, and those of a recording differ in it."""
-    known = values[:, np.isfinite(values).all(axis=0)]
-    spread = known.std(axis=1) if known.shape[1] > FEWEST else np.zeros(1)
-    return bool((spread > ROUNDING * np.abs(known).max(initial=0)).any())
+    varying: dict[str, Values] = {}
+    for name, one in zip(means, np.moveaxis(np.stack(values), -1, 0), strict=True):
+        # Enough stimuli must have a number, and those of a recording differ in it.
+        known = one[:, np.isfinite(one).all(axis=0)]
+        spread = known.std(axis=1) if known.shape[1] > FEWEST else np.zeros(1)
+        if (spread > ROUNDING * np.abs(known).max(initial=0)).any():
+            varying[str(name)] = one
+    return np.stack(places), varying
 
 
 def regress_points(

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -230,20 +229,15 @@ def _run_program(
             raise ValueError(
                 f"{method}: the command wrote no file at {{output}}; it must write a WAV file there"
             )
-        return _read_output(method, target, rate_hz, name="{output}")
-
-
-def _read_output(method: Method, path: Path, rate_hz: float, *, name: str) -> Samples:
-    """Read a WAV file that must have the rate of its recording."""
-    try:
-        samples, rate = read_wav(path)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{method}: {name} cannot be read as a WAV file ({error})") from None
-    if rate != round(rate_hz):
-        raise ValueError(
-            f"{method}: {name} must have its recording's rate of {round(rate_hz)} Hz, got {rate} Hz; resample it"
-        )
-    return samples
+        try:
+            samples, rate = read_wav(target)
+        except (OSError, ValueError) as error:
+            why = f"{{output}} cannot be read as a WAV file ({error})"
+            raise ValueError(f"{method}: {why}") from None
+        if rate != round(rate_hz):
+            must = f"{{output}} must have its recording's rate of {round(rate_hz)} Hz"
+            raise ValueError(f"{method}: {must}, got {rate} Hz; resample it")
+        return samples
 
 
 def _run(method: Method, files: Mapping[str, str]) -> str:

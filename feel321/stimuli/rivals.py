@@ -223,15 +223,11 @@ def log_spectral_distance(pair: Pair) -> Samples:
     0 to 60. A gain g of the amplitude alone is :math:`|20 \log_{10} g|` dB, as for `level_difference`, and D is never
     less than the mean difference.
     """
-    return np.sqrt(_average(pair, np.square(_band_levels(pair))))
-
-
-def _band_levels(pair: Pair) -> Samples:
-    """Level of the reduced signal over the recording in dB, (..., n_bands); NaN in a band without energy in either."""
     _, original, reduced = smooth_bands(pair)
     total = sum(energy[..., pair.felt].max(axis=-1, initial=0.0) for energy in pair.energies)
     empty = np.maximum(original, reduced) <= NUMERICAL_FLOOR * np.asarray(total)[..., None]
-    return np.where(empty, np.nan, level_db(original, reduced))
+    levels = np.where(empty, np.nan, level_db(original, reduced))
+    return np.sqrt(_average(pair, np.square(levels)))
 
 
 def _average(pair: Pair, values: Samples) -> Samples:

@@ -93,15 +93,11 @@ def _join_scenes(parts: Sequence[str], time_s: Samples, rng: np.random.Generator
         return SCENES[parts[0]](time_s, rng)
     made = []
     for part, own in zip(parts, np.array_split(time_s, len(parts)), strict=True):
-        joint = round(JOINT_S / (own[1] - own[0]))
-        made.append(SCENES[part](own - own[0], rng) * _fade_ends(len(own), joint))
+        n, joint = len(own), round(JOINT_S / (own[1] - own[0]))
+        rise = np.minimum(1.0, np.arange(n) / min(joint, n // 2))
+        ends = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * rise[::-1]))
+        made.append(SCENES[part](own - own[0], rng) * ends)
     return np.concatenate(made, axis=1)
-
-
-def _fade_ends(n: int, joint: int) -> Samples:
-    """Fade in and out by raised cosines."""
-    rise = np.minimum(1.0, np.arange(n) / min(joint, n // 2))
-    return np.asarray(0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * rise[::-1])))
 
 
 def bumps(time_s: Samples, rng: np.random.Generator) -> Samples:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from feel321 import intake
 from feel321.doors import as_path, check_finite, check_rate, coerce_real
@@ -80,7 +80,19 @@ def encode_wav(samples: ArrayLike, rate_hz: float) -> bytes:
         raise ValueError(
             f"the rate in a WAV header must be a whole number below 2**32, got {rate!r} Hz"
         )
-    frames = _as_frames(samples)
+    values = coerce_real(samples, "samples")
+    if values.ndim not in {1, 2} or values.size == 0:
+        raise ValueError(
+            f"samples must have the shape (n,) or (channels, n), not empty; got {values.shape}"
+        )
+    check_finite(values, "samples")
+    with np.errstate(over="ignore"):
+        frames = values.T.astype(np.float32)
+    if not np.isfinite(frames).all():
+        raise ValueError(
+            f"samples must fit into float32 (3.4e38), got a peak of {np.abs(values).max():g}"
+        )
+    frames = np.ascontiguousarray(frames)
     if rate * frames.dtype.itemsize * (frames.shape[1] if frames.ndim > 1 else 1) >= 2**32:
         raise ValueError(
             f"the bytes of a second in a WAV header must be below 2**32, got a rate of {rate:g} Hz; lower it"
@@ -197,19 +209,3 @@ def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
             "it is wrong, copy or export the file again"
         )
     return channels, rate, frame_bytes, coding == IEEE_FLOAT
-
-
-def _as_frames(samples: ArrayLike) -> NDArray[np.float32]:
-    values = coerce_real(samples, "samples")
-    if values.ndim not in {1, 2} or values.size == 0:
-        raise ValueError(
-            f"samples must have the shape (n,) or (channels, n), not empty; got {values.shape}"
-        )
-    check_finite(values, "samples")
-    with np.errstate(over="ignore"):
-        frames = values.T.astype(np.float32)
-    if not np.isfinite(frames).all():
-        raise ValueError(
-            f"samples must fit into float32 (3.4e38), got a peak of {np.abs(values).max():g}"
-        )
-    return np.ascontiguousarray(frames)

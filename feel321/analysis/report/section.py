@@ -129,7 +129,9 @@ class TableForm(NamedTuple):
                 names, _, interval = (quantity.source or quantity.name).partition(" | ")
                 pairs = zip((*ENDS, "note"), names.removeprefix("?").split(), strict=False)
                 ends = {end: name for end, name in pairs if name != "-"}
-                if names.startswith("?") and not _is_known(record, ends["value"]):
+                name = ends.get("value")
+                is_known = name in record and record[name] == record[name]  # which NaN is not
+                if names.startswith("?") and not is_known:
                     continue
                 interval = interval or self.interval
                 row = {"interval": INTERVALS.get(interval, interval), **fixed, **own}
@@ -169,10 +171,6 @@ class TableForm(NamedTuple):
             "rows": body,
             "texts": texts,
         }
-
-
-def _is_known(record: Mapping[Any, Any], name: str) -> bool:
-    return name in record and record[name] == record[name]  # which NaN is not
 
 
 def _show_cell(row: Row | None, kind: str, part: str) -> str:
