@@ -116,9 +116,8 @@ def match(
     samples = check_acceleration(given)
     measures = METRICS.choose(metrics)
     if isinstance(reduced, str) or callable(reduced):
-        raise TypeError(
-            f"reduced must be a signal; for a reducer, write reducers=[{name_of(reduced)}]"
-        )
+        do = f"for a reducer, write reducers=[{name_of(reduced)}]"
+        raise TypeError(f"reduced must be a signal; {do}")
     if reduced is None:
         functions = REDUCERS.choose(reducers)
         outputs = {name: function(samples, rate) for name, function in functions.items()}
