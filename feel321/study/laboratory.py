@@ -107,7 +107,7 @@ class Laboratory(OpenStudy):
         """
         if seed is not None and not simulate_participant:
             raise UsageError("--seed needs --simulate-participant; people have no seed")
-        from feel321.study.lab import SessionLog, run_participant
+        from feel321.study.run import SessionLog, run_participant
         from feel321.study.sessions import read_room
 
         room = read_room(self.choose(rehearse), now=self.now)
@@ -146,7 +146,7 @@ class Laboratory(OpenStudy):
         self, participants: options.People = 16, rng: options.Seed = None
     ) -> tuple[int, int]:
         """Do as `simulate`, without pandas, which takes a second to import; count participants and ratings."""
-        from feel321.study.simulation import simulate_study
+        from feel321.study.simulate import simulate_study
 
         if participants < 1:
             raise ValueError(f"participants must be 1 or more, got {participants}")

@@ -1,4 +1,4 @@
-"""What simulated and real sessions have in common: the set as the settings ask for it, the plans, and the lead."""
+"""What simulated and real sessions have in common: the stimulus set, the plans, and how a session is led."""
 
 from __future__ import annotations
 

@@ -117,8 +117,8 @@ class Study(Laboratory):
         kind : str, optional
             Guessed if left out.
         """
+        from feel321.study.check import check_own_method, check_study
         from feel321.study.freeze import describe_frozen, find_faults
-        from feel321.study.workflow import check_own_method, check_study
 
         if method is not None:
             return check_own_method(method, self.folder.path, kind)
@@ -142,7 +142,7 @@ class Study(Laboratory):
             A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
         """
         from feel321.stimuli.sets.build import find_copies
-        from feel321.study.workflow import build_study
+        from feel321.study.check import build_study
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(
@@ -255,7 +255,7 @@ class Study(Laboratory):
         redesign : bool
             From the stored sweeps, without playing.
         """
-        from feel321.study.calibrating import calibrate_rig
+        from feel321.study.actuator.verbs import calibrate_rig
 
         return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
 
@@ -275,7 +275,7 @@ class Study(Laboratory):
         seconds : float
             Duration of the pulse train, in s.
         """
-        from feel321.study.calibrating import examine_study_rig
+        from feel321.study.actuator.verbs import examine_study_rig
 
         return examine_study_rig(self, device=device, seconds=seconds)
 

@@ -24,7 +24,7 @@ from feel321.study.persons.answers import write_answers
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.ratings import write_matches, write_ratings
 from feel321.study.session import journal as journals
-from feel321.study.simulation import simulate_study
+from feel321.study.simulate import simulate_study
 
 if TYPE_CHECKING:
     from pathlib import Path

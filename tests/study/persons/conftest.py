@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.protocols.trial import SPOILED, VALID, Page
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.numbers import Station, plan_participants
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
@@ -22,8 +23,7 @@ from feel321.study.session.journal import (
     utc_now,
 )
 from feel321.study.session.plan import PLAN_FILE, replay, require_plan
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study
+from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY
 from tests.study.persons.planned import TRIALS, make_small_plan
 

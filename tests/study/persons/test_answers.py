@@ -13,7 +13,7 @@ from feel321.study.persons import answers
 from feel321.study.persons.answers import write_answers
 from feel321.study.persons.withdrawal import withdraw_participant
 from feel321.study.session.journal import read_journal, utc_now
-from feel321.study.simulation import simulate_study
+from feel321.study.simulate import simulate_study
 from tests.study.persons.conftest import ASKING, copy_study
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.study.persons.withdrawal import recording_output
-from feel321.study.simulation import simulate_study
+from feel321.study.simulate import simulate_study
 from tests.study.persons.conftest import ASKING
 
 if TYPE_CHECKING:

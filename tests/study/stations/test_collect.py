@@ -36,7 +36,7 @@ from feel321.study.session.journal import (
     write_line,
 )
 from feel321.study.session.plan import PLAN_FILE, create_plan, require_plan
-from feel321.study.simulation import simulate_study
+from feel321.study.simulate import simulate_study
 from feel321.study.status import read_status
 
 if TYPE_CHECKING:

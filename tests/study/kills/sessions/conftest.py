@@ -20,6 +20,7 @@ from feel321.protocols.threshold import USUAL, MatchingBlock, ThresholdBlock
 from feel321.protocols.trial import Flow, Scale
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.auditing.study import audit_study
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
 from feel321.study.numbers import Station, plan_participants
 from feel321.study.observer.model import Casting, ObserverModel
@@ -31,7 +32,6 @@ from feel321.study.session.plan import Design, Stale, make_plan, require_plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 from feel321.study.sessions import Room, lead_session
 from feel321.study.settings.about import ObserverTable
-from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Sessions of simulated participants: who takes part, what they plant, and many of them side by side."""
+"""`simulate`: sessions of simulated participants: who takes part, what is planted, and many of them side by side."""
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed

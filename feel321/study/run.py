@@ -1,4 +1,4 @@
-"""Sessions in the lab: a participant, a screen, and actuators.
+"""`run`: a session in the lab, with a participant, a screen and actuators.
 
 Device and window are opened only once the journal has its header. What can be known to be missing or wrong before
 that is refused before the participant gets a number.
