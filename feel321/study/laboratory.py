@@ -182,7 +182,7 @@ class Laboratory(OpenStudy):
         if watch is not None:
             if notes:
                 raise UsageError("--watch does not go with --notes; leave one out")
-            from feel321.study.persons.withdrawal import recording_output
+            from feel321.study.participants.withdrawal import recording_output
 
             page = as_path(watch)
             with recording_output(folder, "status", page, now=self.now):
@@ -211,7 +211,7 @@ class Laboratory(OpenStudy):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.persons.withdrawal import take_note
+        from feel321.study.participants.withdrawal import take_note
 
         notice = take_note(self.choose(rehearsals), participant, text, now=self.now)
         if notice:
@@ -272,7 +272,7 @@ class Laboratory(OpenStudy):
         is_sure : bool
             Do not ask.
         """
-        from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+        from feel321.study.participants.withdrawal import release_participant, withdraw_participant
         from feel321.study.terminal import ask, is_answerable
 
         folder, facts = self.folder, {"participant": participant}

@@ -207,7 +207,7 @@ class Study(Laboratory):
         from feel321.analysis.report.folder import check_target
         from feel321.study import power
         from feel321.study.analyze import measure_declared
-        from feel321.study.persons.withdrawal import recording_output
+        from feel321.study.participants.withdrawal import recording_output
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
@@ -312,7 +312,7 @@ class Study(Laboratory):
         """
         from feel321.study.analyze import analyze_study
         from feel321.study.export.dataset import write_methods
-        from feel321.study.persons.withdrawal import recording_output
+        from feel321.study.participants.withdrawal import recording_output
 
         if manifest is not None and ratings is None:
             raise UsageError("--manifest needs --ratings; give both, or --ratings alone in a study")
@@ -407,7 +407,7 @@ class Study(Laboratory):
         for_r : bool
             Write for R and JASP instead.
         """
-        from feel321.study.persons.withdrawal import recording_output
+        from feel321.study.participants.withdrawal import recording_output
 
         if for_r and simulated:
             raise UsageError("--simulated is for BIDS; leave it out with --r")
