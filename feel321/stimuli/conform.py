@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from feel321.stimuli.guard import OwnMetric, OwnReducer
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.types import Samples
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ from feel321.doors import (
 )
 from feel321.jobs import Workers, as_workers, gather_results
 from feel321.names import REDUCER_NAMES
-from feel321.stimuli.guard import find_reducer
+from feel321.stimuli.own_methods import find_reducer
 from feel321.stimuli.recording import (
     SAFE_PEAK,
     Recording,

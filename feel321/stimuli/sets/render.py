@@ -20,7 +20,6 @@ from feel321.doors import check_name
 from feel321.extensions import Method
 from feel321.names import ANCHOR, METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
-from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.match import (
     OriginalSpectrum,
     axis_correlations,
@@ -28,6 +27,7 @@ from feel321.stimuli.match import (
     mean_over_axes,
 )
 from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import (

@@ -1,4 +1,4 @@
-"""What other studies print: ITU-T P.1401, correlations that share a variable, and those of repeated measures.
+"""Classic measures of the literature: ITU-T P.1401, correlations that share a variable, and those of repeated measures.
 
 Conventions: votes have shape (items, raters), NaN where a rater did not vote; an item is a stimulus, its mean
 vote the MOS; a metric has one value per item. All of these take items or rows for independent: stimuli of one
