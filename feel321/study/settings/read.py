@@ -21,8 +21,8 @@ from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import read_texts
 from feel321.protocols.threshold import MatchingBlock
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
-from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import render
 from feel321.stimuli.sets.manifest import read_details

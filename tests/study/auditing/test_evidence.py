@@ -29,7 +29,7 @@ from feel321.study.checkpoints import (
 )
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.journal import utc_now
 from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY
