@@ -317,13 +317,9 @@ def refuse_untested(table: Table) -> None:
 
 
 def make_panel(
-    part: DataFrame,
-    metrics: tuple[str, ...],
-    *,
-    draws: int,
-    rng: np.random.Generator,
-    info: Mapping[str, MetricInfo] = MappingProxyType({}),
-) -> Panel:
+    part: DataFrame, metrics: tuple[str, ...],
+    *, draws: int, rng: np.random.Generator, info: Mapping[str, MetricInfo] = MappingProxyType({}),
+) -> Panel:  # fmt: skip
     """Correlate the ratings of one scale and one level with every metric, by every method."""
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
@@ -335,12 +331,11 @@ def make_panel(
         turned = replace(items, metrics=items.metrics * np.where(worse, -1.0, 1.0)[:, None])
         compared = correlate_items(turned, metrics, *resampling.METHODS, draws=draws, rng=seed)
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
+    pairs = list(combinations(metrics, 2))
     return Panel(
         scale=str(part["scale"].iloc[0]),
         level=str(part["level"].iloc[0]),
         associations=tuple(one.associate(metric) for metric in metrics for one in of),
-        differences=tuple(
-            one.compare(*pair) for pair in combinations(metrics, 2) for one in compared
-        ),
+        differences=tuple(one.compare(*pair) for pair in pairs for one in compared),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
     )

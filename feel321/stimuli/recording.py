@@ -261,12 +261,9 @@ def as_samples(signal: Signal, rate_hz: float | None) -> tuple[Samples, float]:
 
 
 def as_pair(
-    acceleration: Signal,
-    reduced: ArrayLike | None,
-    rate_hz: float | None,
-    *,
-    otherwise: float | None = None,
-) -> tuple[ArrayLike, float]:
+    acceleration: Signal, reduced: ArrayLike | None, rate_hz: float | None,
+    *, otherwise: float | None = None,
+) -> tuple[ArrayLike, float]:  # fmt: skip
     """Take a recording's samples and rate, which must be that of the reduced signal if this brings one."""
     own = reduced.rate_hz if isinstance(reduced, Reduced) else None
     given, rate = as_signal(acceleration, rate_hz, otherwise=own or otherwise)

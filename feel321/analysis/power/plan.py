@@ -138,12 +138,9 @@ class PowerPlan:
 
 
 def plan_power(
-    design: PowerDesign,
-    sizes: Mapping[str, Sequence[int]],
-    *,
-    aims: Sequence[int] = (0,),
-    simulate: Simulate | None = None,
-) -> PowerPlan:
+    design: PowerDesign, sizes: Mapping[str, Sequence[int]],
+    *, aims: Sequence[int] = (0,), simulate: Simulate | None = None,
+) -> PowerPlan:  # fmt: skip
     """Find the power of designs around a given one, and recommend the smallest that is enough.
 
     sizes: numbers to try, by the names of `SIZES`, one factor at a time, and participants x recordings together;

@@ -143,9 +143,8 @@ def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
     # Least at ten times the floor, and higher again below it: no threshold, or a band could cross it by rounding.
     energy = np.maximum(energy, floor)
     energy = energy + 10 * floor * (10 * floor / energy)
-    inside = (frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)) & (
-        frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
-    )
+    inside = frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)
+    inside &= frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
     lowest = acceleration_threshold(LOWEST_HZ)
     easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * lowest
     shares = [_share(energy, inside), _share(energy, inside & easily_felt)]
