@@ -224,10 +224,7 @@ def name_of(method: object) -> str:
 
 
 def import_lazily(face: str, path: str) -> Callable[[str], Any]:
-    """Make a face's `__getattr__`: what it imports for type checkers only is imported when it is asked for.
-
-    So each name of a face stands in one import, which a type checker reads as it is.
-    """
+    """Make a face's `__getattr__`: what it imports for type checkers only is imported when it is asked for."""
     import ast
 
     tree = ast.parse(Path(path).read_text(encoding="utf-8"))

@@ -39,12 +39,11 @@ from typing import Any, Literal
 
 from feel321.doors import describe, refuse_name
 
-GROUPS: Mapping[str, str] = {
+GROUPS: Mapping[str, str] = {  # kind of method -> group of entry points; the only list of kinds
     "reducer": "feel321.reducers",
     "metric": "feel321.metrics",
     "protocol": "feel321.protocols",
 }
-"""Kind of method -> group of entry points; the only list of kinds."""
 
 OWN_FORMS = "mylab.haptics:my321, or methods/my321.py:my321"
 FORMS = f"a registered name, {OWN_FORMS}"  # how a method is given, for messages
@@ -106,11 +105,7 @@ def find_method(
     folder: Path | None = None,
     declared: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Method:
-    """Find a lab's method; nothing of it is imported yet.
-
-    taken: names of the kind that are feel321's own; folder: of the study, the current one if left out; declared: the
-    tables of the study, by name.
-    """
+    """Find a lab's method, not imported yet; taken: feel321's own names, declared: the study's tables, by name."""
     folder, tables = Path(folder or Path.cwd()).resolve(), declared or {}
     if isinstance(given, Method):
         found = given
@@ -349,10 +344,7 @@ def _run_file(path: Path, folder: Path | None) -> types.ModuleType:
 
 
 def call(method: Method, function: Callable[..., Any], *args: Any, doing: str = "") -> Any:  # noqa: ANN401 - whatever the lab takes and gives
-    """Call a lab's code: what it prints goes to stderr, and however it fails, one line says where.
-
-    doing: what could not be done, and, of a signal, what was given.
-    """
+    """Call a lab's code: what it prints goes to stderr, and a failure becomes one line, with `doing`, what failed."""
     near = _find_roots(method) if method.origin == "file" else []
     with (
         _TURN,

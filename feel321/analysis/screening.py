@@ -141,9 +141,14 @@ def _prepare(ratings: DataFrame, *, assumed: str) -> tuple[DataFrame, list[str]]
     whose = ratings["participant"]
     everyone = sorted(whose.unique(), key=lambda name: (isinstance(name, str), name))
     protocols, notes = _find_protocols(ratings, assumed)
+    # An anchor has its kind; two test stimuli are judged as one is.
+    kinds = ratings.get("role", pd.Series("test", ratings.index)).replace({"pair": "test"})
+    called = ratings["reducer" if "reducer" in ratings else STIMULUS].astype(str)
+    for kind in ANCHORS:
+        kinds = kinds.mask((kinds == "anchor") & called.str.contains(kind, case=False), kind)
     rows = pd.DataFrame({
         "participant": pd.Categorical(whose, everyone), "item": item, "excerpt": excerpts,
-        "label": item.map(labels), "kind": _find_kinds(ratings), "protocol": protocols,
+        "label": item.map(labels), "kind": kinds, "protocol": protocols,
         "step": _find_steps(ratings), "rating": ratings["rating"], "time": ratings.get("response_time_s", np.nan),
     })  # fmt: skip
     return rows.reset_index(drop=True), notes
@@ -153,16 +158,6 @@ def key_stimulus(ratings: DataFrame) -> list[str]:
     """List the columns that together name what was judged against what; the level too, where there are several."""
     several = "level" in ratings and len(ratings["level"].unique()) > 1
     return [STIMULUS, *["level"] * several, *["reference_id"] * ("reference_id" in ratings)]
-
-
-def _find_kinds(ratings: DataFrame) -> Series:
-    """Name the role of each rating, an anchor's kind instead; two test stimuli are judged as one is."""
-    kinds = ratings.get("role", pd.Series("test", ratings.index)).replace({"pair": "test"})
-    names = ratings["reducer" if "reducer" in ratings else STIMULUS].astype(str)
-    anchored = kinds == "anchor"
-    for kind in ANCHORS:
-        kinds = kinds.mask(anchored & names.str.contains(kind, case=False), kind)
-    return kinds
 
 
 def _find_protocols(ratings: DataFrame, assumed: str) -> tuple[Series, list[str]]:

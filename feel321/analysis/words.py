@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from feel321.types import MetricInfo
 
 MINUS = "\N{MINUS SIGN}"
-ABSENT = "\N{EN DASH}"
-"""Written where a number is not defined."""
+ABSENT = "\N{EN DASH}"  # Written where a number is not defined
 
 PLACES = {"correlation": 2, "slope": 2, "rating": 1, "df": 1, "count": 0, "p": 3}
 """Digits behind the point, per kind of number."""
@@ -26,8 +25,7 @@ SMALLEST_P, UNWIELDY = 0.001, 1e6
 TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
 """Spaces at which no line may break: of a percent sign, and of a small probability with its name."""
 
-ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")
-"""Names of scales that are abbreviations."""
+ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")  # Names of scales that are abbreviations
 
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
 """Suffix of a metric's name in a model -> how it is written."""

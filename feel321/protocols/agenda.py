@@ -74,10 +74,7 @@ class Agenda:
     def tell_trial(
         self, number: int, outcome: str, *, as_expected: bool | None, time_s: float
     ) -> None:
-        """Take an attempt at a trial as made; one that is not `VALID` comes again, unless it came too often.
-
-        as_expected: whether the answer was one of those expected; None where any will do.
-        """
+        """Take an attempt as made; if not `VALID` it comes again, up to a limit. as_expected: None if any will do."""
         self._take(number)
         trial = self._trials[number]
         self.lost_in_a_row = self.lost_in_a_row + 1 if outcome == LOST else 0

@@ -161,10 +161,7 @@ class _Card(NamedTuple):
 
 
 def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> Iterator[Blocks]:
-    """Mix all recordings anew for every participant and round.
-
-    Rules that cannot be kept, as with one recording, are broken as rarely as possible (`find_crowding`).
-    """
+    """Mix all recordings anew for every participant and round; rules are broken as rarely as possible."""
     own = _spawn_participant(rng, number)
     last = _Card("", 0, is_spaced=False)
     for groups in rounds:

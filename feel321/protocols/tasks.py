@@ -218,10 +218,7 @@ def _fill_page(reference: Part, judgements: Iterable[Judgement]) -> Comparison:
 
 
 def compare_abx(items: Items, task: Task, *, teach: bool = False) -> Comparisons:
-    """Compare every stimulus of a recording with the reference of its level arm.
-
-    In training every right answer is known: x was one of the two, however hard to distinguish.
-    """
+    """Compare every stimulus of a recording with the reference of its level; in training the right answer is known."""
     comparisons = []
     for arm in split_arms(items):
         reference = find_reference(arm[0], arm, reference=task.reference)
@@ -280,10 +277,7 @@ def compare_choices(items: Items, task: Task) -> Comparisons:
 
 
 def choose_pairs(n: int, count: int | None, *, key: str) -> tuple[tuple[int, int], ...]:
-    """Choose so many of the pairs of n things, each in equally many or one more, and all connected from n - 1 pairs on.
-
-    The key decides which thing has which place.
-    """
+    """Choose pairs of n things by a key, each thing in equally many or one more, all connected from n - 1 pairs on."""
     names = sorted(range(n), key=lambda place: sha256(f"{key} {place}".encode()).digest())
     pairs = ((names[one], names[other]) for one, other in _list_pairs(n))
     return tuple(sorted((min(pair), max(pair)) for pair in islice(pairs, count)))

@@ -165,10 +165,7 @@ Answer = (
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A question page, `[[session.questions]]` of study.toml.
-
-    options: what can be chosen, or the words of a Likert item's points, empty for none. low, high: of a number.
-    """
+    """A question page, `[[session.questions]]`; options: of a choice, or the words of a Likert item's points."""
 
     name: str
     kind: Kind

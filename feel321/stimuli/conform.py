@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from feel321.stimuli.guard import OwnMetric, OwnReducer
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.types import Samples
 
 if TYPE_CHECKING:
@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 RATE_HZ = 10_000.0
 LENGTHS = (1, 2, 3, 64, 97, 1000)
 LONG = 5000
-FLOAT32 = 1e-5
-"""Relative deviation that files of 32-bit floats allow."""
+FLOAT32 = 1e-5  # Relative deviation that files of 32-bit floats allow
 ROUNDING = 1e-9
 BLOCKS = (0, 1, 7, 64, 500)
 
@@ -64,9 +63,8 @@ def _load(method: Method) -> str:
         return "a command; it is run for every signal"
     found = method.load()
     if not callable(found):
-        raise TypeError(
-            f"{method}: must be a function, or a class with __call__, got {type(found).__name__}"
-        )
+        got = f"got {type(found).__name__}"
+        raise TypeError(f"{method}: must be a function, or a class with __call__, {got}")
     return f"{method.place}, sha256 {method.sha256[:12]}"
 
 

@@ -184,24 +184,20 @@ def level_db(original: Samples, reduced: Samples) -> Samples:
 def smooth_bands(pair: Pair) -> tuple[Samples, Samples, Samples]:
     """Middles of the bands in Hz; mean energy per bin of the recording and of the reduced signal, (..., n_bands)."""
     n = pair.samples.shape[-1]
-    centres = _band_centres(n, pair.rate_hz)
+    # Bands 22 % wide that fill the felt range; possibly none.
+    lowest, highest = max(LOWEST_HZ, pair.rate_hz / n), min(HIGHEST_HZ, pair.rate_hz / 2)
+    centres = np.zeros(0)
+    if lowest < highest:
+        ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
+        n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
+        edges = np.geomspace(lowest, highest, n_bands + 1)
+        centres = (edges[1:] + edges[:-1]) / 2
     smooth = WeberSmoothing(centres, pair.rate_hz / n, n // 2 + 1)
     # What is left of a sum of energies may be negative by rounding.
     original, reduced = (
         np.maximum(smooth(energy[..., smooth.bins]), 0.0) for energy in pair.energies
     )
     return centres, original, reduced
-
-
-def _band_centres(n_samples: int, rate_hz: float) -> Samples:
-    """Middles of bands 22 % wide that fill the felt range; possibly none."""
-    lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
-    if lowest >= highest:
-        return np.zeros(0)
-    ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
-    n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
-    edges = np.geomspace(lowest, highest, n_bands + 1)
-    return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
 def level_difference(pair: Pair) -> Samples:
@@ -223,15 +219,11 @@ def log_spectral_distance(pair: Pair) -> Samples:
     0 to 60. A gain g of the amplitude alone is :math:`|20 \log_{10} g|` dB, as for `level_difference`, and D is never
     less than the mean difference.
     """
-    return np.sqrt(_average(pair, np.square(_band_levels(pair))))
-
-
-def _band_levels(pair: Pair) -> Samples:
-    """Level of the reduced signal over the recording in dB, (..., n_bands); NaN in a band without energy in either."""
     _, original, reduced = smooth_bands(pair)
     total = sum(energy[..., pair.felt].max(axis=-1, initial=0.0) for energy in pair.energies)
     empty = np.maximum(original, reduced) <= NUMERICAL_FLOOR * np.asarray(total)[..., None]
-    return np.where(empty, np.nan, level_db(original, reduced))
+    levels = np.where(empty, np.nan, level_db(original, reduced))
+    return np.sqrt(_average(pair, np.square(levels)))
 
 
 def _average(pair: Pair, values: Samples) -> Samples:
@@ -260,8 +252,7 @@ def pacinian_power_difference(pair: Pair) -> Samples:
 
 FASTEST_HZ = 50.0
 SLOWEST_HZ = 2.0
-N_BANDS = 9
-"""Half an octave each from 2 to 50 Hz."""
+N_BANDS = 9  # Half an octave each from 2 to 50 Hz
 
 # An envelope that varies by less than this share of its mean is constant but for rounding.
 _CONSTANT = 1e-6
@@ -309,8 +300,7 @@ def find_depths(energy: Samples, rate_hz: float) -> Samples:
     shares = (band[:, None] == np.unique(band[band >= 0])).astype(float)
     depths = 2 * np.sqrt(np.abs(spectrum) ** 2 @ shares)
     mean = mean[..., None]
-    unknown = np.full_like(depths, np.nan)
-    return np.asarray(np.divide(depths, mean, out=unknown, where=mean > 0))
+    return np.asarray(np.divide(depths, mean, out=np.full_like(depths, np.nan), where=mean > 0))
 
 
 def compare_depths(recorded: Samples, reduced: Samples) -> Samples:
@@ -340,11 +330,8 @@ PUBLISHED_HZ = 8000.0
 SUPPORT_DB = 12.0
 """Spread of the normal distribution by which a level over the threshold counts as felt."""
 
-TEMPORAL_SHARE = 2 / 3
-"""Exponent of ST-SIM's temporal part; the spectral part has the rest."""
-
-SLOPE, OFFSET = 0.3, -2.0
-"""Of SPQI's step from an error in dB to a score."""
+TEMPORAL_SHARE = 2 / 3  # Exponent of ST-SIM's temporal part; the spectral part has the rest
+SLOPE, OFFSET = 0.3, -2.0  # Of SPQI's step from an error in dB to a score
 
 # A block that is nowhere felt with more than this chance is silent.
 _NOT_FELT = 1e-6

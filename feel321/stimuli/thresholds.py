@@ -103,8 +103,7 @@ def acceleration_threshold(frequency_hz: ArrayLike, *, threshold: str = CONTACTO
     return (2 * np.pi * frequency) ** 2 * displacement_threshold(frequency, threshold=threshold)
 
 
-WINDOW_S = 0.2
-"""Energy is summed over this time."""
+WINDOW_S = 0.2  # Energy is summed over this time
 
 EDGE_OCTAVES = 0.5
 """In short windows the felt range ends gradually, or a brief vibration at 20 Hz would lose half its energy."""

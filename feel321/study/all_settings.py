@@ -16,11 +16,10 @@ from feel321.study.settings.fields import MOST, list_fields, list_tables
 from feel321.study.settings.schema import Settings
 
 FILES: dict[str, type[BaseModel]] = {"study.toml": Settings, "rig.toml": Rig}
-UNITS = {
+UNITS = {  # end of a key's name -> its unit
     "db_per_min": "dB/min", "mv_per_g": "mV/g", "m_s2": "m/s²", "ms": "ms", "hz": "Hz", "db": "dB", "min": "min",
     "days": "days", "h": "h", "s": "s", "v": "V",
 }  # fmt: skip
-"""End of a key's name -> its unit."""
 
 KINDS = {
     "boolean": "true or false", "integer": "whole number", "number": "number", "string": "text", "array": "list",

@@ -30,7 +30,7 @@ from cyclopts.exceptions import MissingArgumentError
 
 from feel321 import __version__, files, intake
 from feel321.doors import clean_text
-from feel321.study import options, signals, study
+from feel321.study import options, recording_verbs, study
 from feel321.study.folder import SETTINGS_FILE, Outcome, StudyFolder, UsageError, require_study
 from feel321.study.study import Study
 from feel321.study.terminal import CALL, Call, cap, dump_json, echo, wants_bar, warn
@@ -45,23 +45,20 @@ if TYPE_CHECKING:
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
-GROUPS = {
+GROUPS = {  # group of the help -> its verbs
     "Design": ("new", "check", "build", "power", "freeze", "tradeoff"),
     "Lab": ("calibrate", "doctor", "run", "simulate", "status", "note", "collect", "withdraw"),
     "Results": ("analyze", "audit", "seal", "export"),
     "Signals": ("reduce", "match"),
     "Example": ("demo",),
 }
-"""Group of the help -> its verbs."""
 
-ANYWHERE = {"analyze", "check", "doctor"}
-"""Verbs that can do something without a study."""
+ANYWHERE = {"analyze", "check", "doctor"}  # verbs that can do something without a study
 
+# Verbs that leave what a killed process left.
 READING = {*ANYWHERE, "audit", "calibrate", "export", "status"}
-"""Verbs that leave what a killed process left."""
 
-WORDY = {"run"}
-"""Verbs that print as they go, and no numbers at their end."""
+WORDY = {"run"}  # verbs that print as they go, and no numbers at their end
 
 QUICK = {"simulate": "lead_simulated"}
 """Verbs that call another method than the one that they are made of: it does the same, and starts at once."""
@@ -72,8 +69,8 @@ RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 LONGEST = 1000  # letters of a line of an error
+# Switches that every verb has, in any place.
 SWITCHES = {"-q": "quiet", "--quiet": "quiet", "--traceback": "traceback"}
-"""Switches that every verb has, in any place."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -212,7 +209,7 @@ def open_study(name: str, path: Path) -> Study:
 
 def make_verb(name: str) -> Callable[..., int]:
     """Make a verb of what has its name: a function whose arguments are those of a command line, and its exit code."""
-    homes = (Study, study, signals)
+    homes = (Study, study, recording_verbs)
     do: Callable[..., Any] = next(getattr(one, name) for one in homes if hasattr(one, name))
     parameters = _list_parameters(do)
     if name not in WORDY and inspect.signature(do).return_annotation != "None":
@@ -316,7 +313,7 @@ def show_set(study: Study, found: StimulusSet) -> Outcome:
 
 def show_simulated(study: Study, found: tuple[int, int]) -> Outcome:
     """Show how many ratings there are, and what was planted in them."""
-    from feel321.study.simulation import regress_planted
+    from feel321.study.simulate import regress_planted
 
     slopes, reducers = regress_planted(study.settings, study.stimuli())
     file, (people, rows) = str(study.folder.ratings), found
@@ -368,11 +365,10 @@ def show_seal(study: Study, found: Seal) -> Outcome:
     return Outcome(asdict(found), [f"{study.folder.path}: checkpoint {found.checkpoint}", *places])
 
 
-SHOWN: dict[str, Callable[[Study, Any], Outcome]] = {
+SHOWN: dict[str, Callable[[Study, Any], Outcome]] = {  # verb -> what shows the result of its method
     "analyze": show_page, "audit": show_audit, "build": show_set, "check": show_problems, "power": show_page,
     "run": show_session, "seal": show_seal, "simulate": show_simulated, "status": show_status,
 }  # fmt: skip
-"""Verb -> what shows the result of its method."""
 
 
 APP = App(
@@ -397,11 +393,11 @@ ABOUT = (
 )
 COLUMN, NARROWEST, WIDEST = 34, 40, 100
 
+# Options of every verb.
 EVERYWHERE = (("-q, --quiet", "Only results and errors."), ("-h, --help", "Show this text."))
-"""Options of every verb."""
 
+# Type of an option -> what stands behind its name.
 KINDS = {int: "N", float: "NUMBER", str: "TEXT", bool: ""}
-"""Type of an option -> what stands behind its name."""
 
 
 def read_doc(verb: str) -> str:

@@ -30,8 +30,7 @@ Read = TypeVar("Read")
 
 SETTINGS_FILE = "study.toml"
 
-DELIVERED = "delivered"
-"""Folder, in each participant's, of the samples that were rendered or measured at each playback."""
+DELIVERED = "delivered"  # folder, in each participant's, of the samples that were rendered or measured at each playback
 
 PARTICIPANT_COLUMNS = (
     "participant", "number", "simulated", "state", "sessions", "answered", "given_up", "total",
@@ -42,13 +41,12 @@ Last of all come those of `thresholds.list_columns`, where thresholds were measu
 
 LAST_PARTICIPANT_COLUMNS = ("first_utc", "last_utc", "training_passed", "rig", "calibration")
 
-RATING_COLUMNS = (
+RATING_COLUMNS = (  # the columns of `ratings.csv`, in order
     "participant", "session", "protocol", "block", "trial", "repeat", "stimulus_id", "recording", "reducer",
     "level", "reference_id", "scale", "rating", "response_time_s", "onset_s", "underruns", "rejected", "simulated",
     "spectral_match_delivered", "temporal_match_delivered", "spectral_match_bounded_delivered", "level_error_db",
     "delivered_by", "sensation_level_db", "other_id",
 )  # fmt: skip
-"""The columns of `ratings.csv`, in order."""
 
 TEMPLATES = files("feel321.study") / "settings"
 BUNDLED = TEMPLATES / "bundled"
@@ -203,11 +201,7 @@ def list_bundled() -> tuple[str, ...]:
 
 
 def create_study(path: Path, *, bundled: str | None = None) -> StudyFolder:
-    """Begin a study: its folder, a commented `study.toml` that works as it is, and a `rig.toml`.
-
-    bundled: which ready study it is to be; if left out, one of bundled scenes, with the settings that labs change
-    first. Methods of its own that it names are written beside it.
-    """
+    """Begin a study: its folder, a commented `study.toml` and a `rig.toml`; bundled: which ready study it is to be."""
     text = read_template(bundled)
     study = StudyFolder(path)
     make_folder(path / "recordings")

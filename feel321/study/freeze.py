@@ -22,8 +22,8 @@ from feel321 import intake
 from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_versions
 from feel321.doors import name_of
 from feel321.records import to_json_value
-from feel321.study.numbers import read_holder
-from feel321.study.people import read_sealed, write_sealed
+from feel321.study.participants.numbers import read_holder
+from feel321.study.participants.roster import read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.journal import digest, list_journals
 from feel321.study.session.opening import FROZEN_FILE, flatten
@@ -51,8 +51,7 @@ ASIDE = (
 
 _MARKS = [f'"event": "{kind.event}"'.encode() for kind in (SessionBegun, TrialRated)]
 
-MOST = 3
-"""Changes that the report's sentence names before it only counts."""
+MOST = 3  # changes that the report's sentence names before it only counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,10 +226,7 @@ def find_faults(study: StudyFolder) -> list[str]:
 
 
 def _list_sessions(study: StudyFolder) -> Iterator[tuple[str, str]]:
-    """List the journals of people, each with the digest of the frozen file that its header names.
-
-    Lines are looked at by themselves: what is damaged is found by the audit, and must hide no session.
-    """
+    """List the journals of people and the frozen file that each header names; damage must hide no session."""
     for folder in study.participants:
         holder = None  # one whose plan cannot be read counts as a person
         with suppress(OSError, ValueError):
@@ -252,10 +248,7 @@ def make_standing(
     draws: int | None = None,
     own: bool = True,
 ) -> Standing:
-    """Compare what is about to be analysed with the frozen file.
-
-    metrics, draws: where they are not the settings'; own: whether the ratings are those of the study.
-    """
+    """Compare what is about to be analysed with the frozen file; own: whether the ratings are those of the study."""
     if not own and (study.path / FROZEN_FILE).exists():
         first = "These ratings come from elsewhere, so what the study froze does not hold for them"
         reason = "the ratings are not the study's own"

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, model_validator
 
 from feel321.study.settings import fields
 
-KEY_NAMES = (
+KEY_NAMES = (  # names of keys, the same on the main block and on the number block
     *ascii_lowercase,
     *digits,
     *(f"f{number}" for number in range(1, 25)),
@@ -19,7 +19,6 @@ KEY_NAMES = (
     *("left", "right", "up", "down", "pageup", "pagedown", "comma", "period", "minus", "plus"),
     *("equal", "slash", "backslash", "semicolon", "apostrophe", "grave"),
 )
-"""Names of keys, the same on the main block and on the number block."""
 
 SIGNS = {"left": "←", "right": "→", "up": "↑", "down": "↓", "pageup": "⇞", "pagedown": "⇟"}
 """What stands on keys that have no word."""
@@ -46,13 +45,7 @@ Keys = Annotated[tuple[str, ...], BeforeValidator(_as_tuple), AfterValidator(_ch
 
 
 class KeysTable(fields.TomlTable):
-    """`[keys]`: which key does what: one key, or several that do the same; the screen names the first.
-
-    next: confirm a page or an answer. stop: what plays. pause: pressed twice, also ends the session on a page. again:
-    feel it again. loop: vibrations of a list go on and on, or not. reference, play: feel the reference, the first
-    vibration, the second, and so on. left, right: one point, or the first and the last choice. more, less: ten points.
-    up, down: another vibration of a list. type_values: whether digits are typed as values.
-    """
+    """`[keys]`: which key does what: one key, or several that do the same; the screen names the first."""
 
     next: Keys = ("enter",)
     experimenter: Keys = ("f12",)
@@ -95,7 +88,9 @@ class KeysTable(fields.TomlTable):
         return next((key for key, own in self.list_uses() if own == action), "")
 
 
-ACTIONS: Mapping[str, tuple[str, ...]] = {
+ACTIONS: Mapping[
+    str, tuple[str, ...]
+] = {  # the actions that a line of a language's `keys` is about
     "move": ("left", "right"),
     "coarse_rows": ("more", "less"),
     "choose": ("up", "down"),
@@ -106,7 +101,6 @@ ACTIONS: Mapping[str, tuple[str, ...]] = {
     "pause": ("pause",),
     "leave": ("pause",),
 }
-"""The actions that a line of a language's `keys` is about."""
 
 USUAL = KeysTable()
 

@@ -21,14 +21,12 @@ from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated,
 from feel321.study.session.journal import Records
 from feel321.study.session.plan import Design, Dossier, Plan, make_trials, replay
 
+# Mean and standard deviation of the logarithm of a response time in s: a median of 2.0 s.
 UNHURRIED = (0.7, 0.4)
-"""Mean and standard deviation of the logarithm of a response time in s: a median of 2.0 s."""
 
 STROKE_S = 3.0  # duration of a stroke over the real surface
 PAGE_S = 10.0  # for a page that may be left at once, until real participants have read some
-
-Durations = Mapping[str, float]
-"""Duration of the stimuli of each recording, in s."""
+Durations = Mapping[str, float]  # duration of the stimuli of each recording, in s
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +92,7 @@ def count_down(
     agenda: Agenda | None = None,
     clock_s: float = 0.0,
 ) -> dict[int, float]:
-    """Work through what is still to be done of a session; gives the time left in s, by the trials that are done.
-
-    Every answer is taken as a good one, and as expected where any is.
-    """
+    """Work through what is left of a session, every answer a good one; gives the time left in s, by trials done."""
     agenda = agenda or Agenda(plan.trials, plan.flow, plan.questions)
     tasks, measure_felt = {task.protocol: task for task in plan.tasks}, time_trials(plan, durations)
     reached: dict[int, float] = {}

@@ -117,8 +117,8 @@ Seed = Annotated[Rng | None, within(0, MOST_SEED), called("--seed")]
 WholeSeed = Annotated[int | None, within(0, MOST_SEED)]
 Crew = Annotated[Processes, within(1, 1024)]
 Scheduler = Annotated[str, Parameter(metavar="ADDRESS", validator=_check_scheduler)]
+# An argument that is no option: study.toml declares it.
 PythonOnly = Annotated[int | None, Parameter(parse=False)]
-"""An argument that is no option: study.toml declares it."""
 
 
 @Parameter(name="*")

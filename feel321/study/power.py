@@ -53,9 +53,7 @@ Numbers = int | Sequence[int]
 Row = dict[str, Any]
 
 OWN = "study"  # A pilot that is no file: the study's own ratings
-
-KEPT = ".studies"
-"""Folder, in that of the results, of simulated studies: an interrupted call is continued from there."""
+KEPT = ".studies"  # folder, in that of the results, of simulated studies: an interrupted call is continued from there
 
 PEOPLE, FEWEST = 16, 3
 """Raters of each attribute in the design around which others are compared; without so many there is no model."""
@@ -70,11 +68,7 @@ WALKS = ((0, (5, 1.2)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (1, 1)), (0, (8, 1.5
 
 @dataclass(frozen=True, slots=True)
 class PowerTask:
-    """What is planned.
-
-    effects: a row per hypothesis: attribute, metric, points per step of the metric, the step, and its source; share:
-    one in so many participants rates each attribute.
-    """
+    """What is planned; effects: a row per hypothesis; share: one in so many participants rates each attribute."""
 
     design: PowerDesign
     effects: DataFrame
@@ -91,10 +85,7 @@ def set_up(
     wanted: float = ENOUGH,
     further: Further | None = None,
 ) -> PowerTask:
-    """Set up the power analysis of a study; other slopes than those of `effects` are the simulated observers'.
-
-    further: the metrics that the analysis declares and the manifest lacks.
-    """
+    """Set up the power analysis of a study; further: the metrics that the analysis declares and the manifest lacks."""
     asked = effects if isinstance(effects, Mapping) else _read_effects(effects)
     settings = read.read_settings(study.settings)
     if settings.session.recordings_per_participant:

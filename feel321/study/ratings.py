@@ -47,11 +47,7 @@ _KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
 
 
 def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
-    """Write all completed judgements of a study, of unfinished sessions too, and count them.
-
-    Training and practice are left out; they stand in the journals. An attempt that was bad, or a session that
-    was begun anew, is there and marked as rejected.
-    """
+    """Write and count all judgements of the main trials; of a bad attempt, or a session begun anew, as rejected."""
     rows = [row for one in study.read_people() for row in list_judgements(one, stimuli)]
     count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
     study.share(study.ratings)
@@ -215,18 +211,16 @@ def describe_matches(rows: Iterable[Mapping[str, Any]]) -> list[str]:
 
 WIDE = "data"  # folder of the files, in a study's
 
-ONCE = {
+ONCE = {  # column of a judgement -> column of a trial
     "participant": "participant", "session": "session", "protocol": "trials.protocol", "block": "trials.block",
     "trial": "trials.thisN", "repeat": "trials.thisRepN", "response_time_s": "response.rt", "underruns": "underruns",
     "rejected": "rejected", "simulated": "simulated",
 }  # fmt: skip
-"""Column of a judgement -> column of a trial."""
 
-EACH = {
+EACH = {  # column of a judgement -> column of each judgement in a trial, which ends in its number
     "stimulus_id": "stimulus", "recording": "recording", "reducer": "reducer", "level": "level",
     "reference_id": "reference", "scale": "scale", "rating": "response", "onset_s": "started",
 }  # fmt: skip
-"""Column of a judgement -> column of each judgement in a trial, which ends in its number."""
 
 
 def write_wide(study: Path, rows: Iterable[Mapping[str, Any]]) -> None:

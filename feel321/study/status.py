@@ -21,7 +21,7 @@ from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import minutes
-from feel321.study.people import LOCK_FILE, Progress, describe_rigs, make_progress
+from feel321.study.participants.roster import LOCK_FILE, Progress, describe_rigs, make_progress
 from feel321.study.session.events import (
     DeviceFailed,
     PageRead,
@@ -43,25 +43,17 @@ if TYPE_CHECKING:
 
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Chain, Clock, Record
+    from feel321.study.session.journal import Chain, Clock
 
-CALLED = "called"
-"""State of a session whose device failed until the experimenter comes."""
-
-GOING_ON = {"claimed", "running", "aborted", CALLED}
-"""States of those who have something left."""
+CALLED = "called"  # state of a session whose device failed until the experimenter comes
+GOING_ON = {"claimed", "running", "aborted", CALLED}  # states of those who have something left
 
 STATES = (CALLED, "", "running", "aborted", "claimed", "finished", "released", "withdrawn")
 """States, those first that somebody should look at; without one, files cannot be read."""
 
-CALLED_FOR = "last called for: "
-"""How a warning begins that holds words of the device, which are not blind."""
-
-EVERY_S = 5.0
-"""How often the page is renewed, and how often a browser reads it again."""
-
-OWN_PAGE = '<meta name="generator" content="feel321 status --watch">'
-"""Tells a page of this module from other files."""
+CALLED_FOR = "last called for: "  # begins a warning with words of the device, which are not blind
+EVERY_S = 5.0  # how often the page is renewed, and how often a browser reads it again
+OWN_PAGE = '<meta name="generator" content="feel321 status --watch">'  # marks pages of this module
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,11 +125,7 @@ class Status(Result):
 
 @dataclass(slots=True)
 class Watch:
-    """Looks at the sessions of a study.
-
-    known: what was derived of each participant, for as long as plan and journals are as they were, with the trials that
-    count for the balance, in the order that they were run.
-    """
+    """Looks at the sessions of a study; known: what was derived of each participant whose files have not changed."""
 
     study: StudyFolder
     known: dict[Path, tuple[Dossier, Progress, list[Trial]]] = field(default_factory=dict)
@@ -177,7 +165,12 @@ class Watch:
             return Progress(folder.name, problem=str(error))
         self.known[folder] = before
         own = before[1]
-        calls = [one.event for one in dossier.records if _is_call(one)]
+        calls = [
+            one.event
+            for one in dossier.records
+            if one.event == DeviceFailed.event
+            or (one.event == PageRead.event and one.data.get("key") == "call_us")
+        ]
         if own.state != "released" and calls[-1:] == [DeviceFailed.event]:
             return replace(own, state=CALLED)
         is_left = own.state == "running" and not is_held(folder / LOCK_FILE)
@@ -243,12 +236,6 @@ def _derive(dossier: Dossier) -> tuple[Progress, list[Trial]]:
         rated = [one for one in found if one.trial in trials and not one.rejected]
         warnings = tuple(_find_warnings(dossier, rated))
     return replace(own, warnings=warnings), [trials[one.trial] for one in rated]
-
-
-def _is_call(record: Record) -> bool:
-    """Check whether the experimenter was called, or the page of a call was left."""
-    is_page = record.event == PageRead.event and record.data.get("key") == "call_us"
-    return is_page or record.event == DeviceFailed.event
 
 
 def _find_warnings(dossier: Dossier, rated: Sequence[TrialRated]) -> Iterator[str]:

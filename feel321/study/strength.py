@@ -28,8 +28,8 @@ WEAK_DB = 10.0  # with less over the threshold stimuli are felt, but hardly as w
 REACH_DB = 12.0  # three standard deviations of thresholds between participants
 COSTLY_DB = 1.0  # a recording that takes less headroom from the others is not worth a line
 
+# Recording, level arm, gain, and the largest magnitude that is played, in m/s².
 Gain = tuple[str, str, float, float]
-"""Recording, level arm, gain, and the largest magnitude that is played, in m/s²."""
 
 
 def find_strength(settings: Settings, foreseen: Sequence[Foreseen], recipe: Recipe) -> Problems:
@@ -146,10 +146,7 @@ def _group(foreseen: Iterable[Foreseen]) -> list[tuple[str, list[Foreseen]]]:
 def _find_weak(
     foreseen: Sequence[Foreseen], recipe: Recipe, *, least: float, below: float
 ) -> Iterator[str]:
-    """List the recordings whose stimuli have sensation levels in a range, and what helps them.
-
-    That is a gain of their own, a stronger rig, or leaving something out.
-    """
+    """List recordings whose stimuli have sensation levels in a range, and the remedy: gain, rig, leaving some out."""
     accept = "" if below else f', or accept it: below_threshold = "{ACCEPT}" under [stimuli]'
     where = f"below the detection threshold ({recipe.threshold}), not to be felt"
     if below:
@@ -211,10 +208,7 @@ def write_db(value: float) -> str:
 def find_reach(
     rig: Rig, covariances: Mapping[str, NDArray[np.float64]], recipe: Recipe
 ) -> Problems:
-    """Compare the energy with which one-axis stimuli and the three-axis reference reach the hand.
-
-    covariances: of the axes of each conditioned recording, (3, 3).
-    """
+    """Compare how much energy of one-axis stimuli and of the reference reaches the hand; covariances: (3, 3) each."""
     if recipe.reference != ORIGINAL:
         return Problems()
     directions, unknown = render.find_directions(rig)

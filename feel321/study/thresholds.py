@@ -105,10 +105,7 @@ def find_shift(thresholds: Thresholds, *, curve: str) -> Callable[[Samples], Sam
 
 
 def find_own_levels(plan: Plan, records: Records, stimuli: StimulusSet) -> dict[str, float]:
-    """Compute the sensation level of every stimulus for one participant, in dB; none for silence.
-
-    Empty where no threshold is usable.
-    """
+    """Compute each stimulus's sensation level for one participant in dB, where a threshold is usable."""
     from feel321.stimuli.thresholds import loudest_levels, to_db
 
     if not (thresholds := read_thresholds(plan, records)):

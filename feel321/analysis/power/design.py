@@ -20,17 +20,13 @@ if TYPE_CHECKING:
 
     Codes = NDArray[np.intp]
 
-LEVEL = 0.05
-"""Of all tests of a study together, by Holm's method."""
-
-ENOUGH = 0.8
-"""Power that is asked for."""
+LEVEL = 0.05  # Of all tests of a study together, by Holm's method
+ENOUGH = 0.8  # Power that is asked for
 
 LEAST = {"participants": 6, "recordings": 4, "reducers": 3}
 """No smaller study is advised, however large the slope: intervals over fewer are too unsure of themselves."""
 
-SIZES = ("participants", "recordings", "reducers", "repeats")
-"""What a plan varies."""
+SIZES = ("participants", "recordings", "reducers", "repeats")  # What a plan varies
 
 GROUPS = {
     "person_sd": "participant", "recording_sd": SCENE, "item_sd": ITEM, "reducer_sd": REDUCER,

@@ -32,8 +32,7 @@ REPEATS = (1, 2, 3, 4)
 TRIED = 8
 """Designs that are simulated in search of one whose simulation does not contradict the closed form."""
 
-STEP = 0.8
-"""Share of a refuted design's detectable slope that the next one must detect."""
+STEP = 0.8  # Share of a refuted design's detectable slope that the next one must detect
 
 LEAST_TESTED = 0.9
 """Share of simulated studies that must give a test, for a simulation to confirm a design."""

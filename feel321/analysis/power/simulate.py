@@ -30,11 +30,8 @@ if TYPE_CHECKING:
 
     from feel321.types import Samples
 
-CHUNK = 50
-"""Studies of one job."""
-
-LOW, HIGH = 0.0, 100.0
-"""Ends of the scale."""
+CHUNK = 50  # Studies of one job
+LOW, HIGH = 0.0, 100.0  # Ends of the scale
 
 SIMULATED = ("simulated", "simulated_low", "simulated_high")
 

@@ -93,7 +93,18 @@ def fit_slopes(cells: Cells, *, correlated: bool = False, reducers: bool = True)
     terms = plan_terms(cells, correlated=correlated, reducers=reducers)
     design = build_design(terms.formula, cells.table)
     solved = solve_design(design, penalty=terms.penalty, most_df=terms.most_df)
-    return Slopes(_tabulate_slopes(cells, terms, solved), cells, terms, solved)
+    # How far apart the quartiles of each metric within recordings are, each stimulus counted once.
+    items, lack, rows = cells.rated, _find_lack(cells), {}
+    for name, scale in _find_scales(cells, terms).items():
+        span = float(np.subtract(*np.percentile(items[f"{name}_w"], [75, 25])))
+        row = _blank(solved.estimate({f"{name}_w": 1.0}), lack=lack)
+        for prefix, unit in {"quartile": span, "tenth": TENTH, "standardised": scale}.items():
+            key = "quartile_effect" if prefix == "quartile" else prefix
+            row[key] = row["estimate"] * unit
+            row |= {f"{prefix}_{end}": row[end] * unit for end in ("low", "high")}
+        rows[name] = row | {"quartile_span": span, "estimable": bool(np.isfinite(row["se"]))}
+    table = pd.DataFrame.from_dict(rows, orient="index").rename_axis("metric")
+    return Slopes(table, cells, terms, solved)
 
 
 def fit_primary(
@@ -321,21 +332,6 @@ def _find_scales(cells: Cells, terms: Terms) -> dict[str, float]:
     return {name[:-2]: float(cells.table[name].std() / spread) for name in within}
 
 
-def _tabulate_slopes(cells: Cells, terms: Terms, solved: Solved) -> DataFrame:
-    # How far apart the quartiles of each metric within recordings are, each stimulus counted once.
-    items, lack, rows = cells.rated, _find_lack(cells), {}
-    for name, scale in _find_scales(cells, terms).items():
-        span = float(np.subtract(*np.percentile(items[f"{name}_w"], [75, 25])))
-        row = _blank(solved.estimate({f"{name}_w": 1.0}), lack=lack)
-        units = {"quartile": span, "tenth": TENTH, "standardised": scale}
-        for prefix, unit in units.items():
-            key = "quartile_effect" if prefix == "quartile" else prefix
-            row[key] = row["estimate"] * unit
-            row |= {f"{prefix}_{end}": row[end] * unit for end in ("low", "high")}
-        rows[name] = row | {"quartile_span": span, "estimable": bool(np.isfinite(row["se"]))}
-    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("metric")
-
-
 def _tabulate_differences(found: Slopes) -> DataFrame:
     rows, lack = [], _find_lack(found.cells)
     scales = _find_scales(found.cells, found.terms)
@@ -344,8 +340,7 @@ def _tabulate_differences(found: Slopes) -> DataFrame:
         both = {"": (1.0, 1.0), "standardised_": (scales[first], scales[second])}
         for prefix, (one, other) in both.items():
             estimate = found.solved.estimate({f"{first}_w": one, f"{second}_w": -other})
-            blanked = _blank(estimate, lack=lack)
-            row |= {f"{prefix}{name}": value for name, value in blanked.items()}
+            row |= {f"{prefix}{name}": value for name, value in _blank(estimate, lack=lack).items()}
         rows.append(row)
     return pd.DataFrame(rows)
 

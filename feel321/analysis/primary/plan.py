@@ -44,9 +44,7 @@ WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
 SOURCE, REDUCER = "source", "reducer"
 KEYS = (WHO, SCENE, ITEM)
 
-ALIKE = f"{SOURCE}:{REDUCER}"
-"""Stimuli of one source that were reduced alike."""
-
+ALIKE = f"{SOURCE}:{REDUCER}"  # Stimuli of one source that were reduced alike
 LEVEL = "level_db"  # Level of a stimulus less the mean of its recording's: a term of the model, and no hypothesis
 AMPLITUDE = "rms_m_s2"
 LEVELS = ("sensation_level_db", AMPLITUDE, "level_difference")
@@ -143,7 +141,18 @@ def make_cells(rows: DataFrame, metrics: Sequence[str]) -> Cells:
     # Names as categories, whose every use costs less.
     known = [name for name in (REDUCER,) if name in rows]
     rows = rows.assign(**{name: rows[name].astype("category") for name in (*KEYS, *known)})
-    items = _add_level(_gather_items(rows, [*names, *known]), rows)
+    items = rows[[SCENE, ITEM, *names, *known]].drop_duplicates()
+    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
+        got = f"got item {twice[0]!r} with two recordings, two reducers or two values of a metric"
+        raise ValueError(f"rows must have one stimulus per item, {got}")
+    sources = find_sources(rows)
+    if not sources.is_unique:
+        if not known:
+            got = f"got {len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'"
+            must = "rows must say which stimuli of a source were reduced alike"
+            raise ValueError(f"{must}, {got}; add it")
+        items = items.assign(**{SOURCE: sources.reindex(items[SCENE]).astype("category").array})
+    items = _add_level(items, rows)
     if LEVEL not in items and not set(LEVELS) & set(names):
         lack = f"Level was not known (no column {', '.join(LEVELS)}): slopes may be those of level."
         notes = (*notes, lack)
@@ -155,24 +164,6 @@ def select_rows(rows: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     rows, rejected = leave_rejected(name_items(open_ratings(rows, what="rows")))
     rows, untested = leave_untested(rows)
     return rows, (*rejected, *untested)
-
-
-def _gather_items(rows: DataFrame, columns: list[str]) -> DataFrame:
-    """Gather every stimulus: its metrics, its reducer, and the source of its recording where several have one."""
-    items = rows[[SCENE, ITEM, *columns]].drop_duplicates()
-    if twice := items.loc[items[ITEM].duplicated(), ITEM].tolist():
-        got = f"got item {twice[0]!r} with two recordings, two reducers or two values of a metric"
-        raise ValueError(f"rows must have one stimulus per item, {got}")
-    sources = find_sources(rows)
-    if sources.is_unique:
-        return items
-    if REDUCER not in columns:
-        got = (
-            f"got {len(sources)} recordings of {sources.nunique()} sources and no column 'reducer'"
-        )
-        must = "rows must say which stimuli of a source were reduced alike"
-        raise ValueError(f"{must}, {got}; add it")
-    return items.assign(**{SOURCE: sources.reindex(items[SCENE]).astype("category").array})
 
 
 def _add_level(items: DataFrame, rows: DataFrame) -> DataFrame:
@@ -284,8 +275,7 @@ def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Terms:
     few = f"(1 | {REDUCER})" in random and cells.count(REDUCER) < FEW_REDUCERS
     # Of a single difference the penalised likelihood has no maximum: it grows with the spread as fast as it falls.
     penalty = (REDUCER,) if few and free > 1 else ()
-    most_df = find_most_df(cells.n_sources)
-    return Terms(tuple(fixed), random, tuple(reductions), penalty, most_df)
+    return Terms(tuple(fixed), random, tuple(reductions), penalty, find_most_df(cells.n_sources))
 
 
 def find_most_df(recordings: int) -> float:

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
     from feel321.analysis.report.section import Picture
 
 PAGE, DETAILS, RESULTS = "index.html", "details.html", "results.json"
-METHODS = "methods.md"
-"""The methods section, which the study writes beside a report."""
+METHODS = "methods.md"  # The methods section, which the study writes beside a report
 
 OWN = re.compile(
     r"index\.html|details\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv"
@@ -147,9 +146,8 @@ def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:
         former = set()
     for name in wanted:
         if name not in former and (target / name).exists():
-            raise FileExistsError(
-                f"{target / name}: exists and is not of a former report; move it away or choose another folder"
-            )
+            do = "move it away or choose another folder"
+            raise FileExistsError(f"{target / name}: exists and is not of a former report; {do}")
     return former
 
 

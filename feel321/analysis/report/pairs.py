@@ -216,8 +216,7 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
 
 # Dissimilarities: the perceptual map, and what its axes are associated with.
 
-DRAWS = 200
-"""Maps drawn anew; each takes a fit."""
+DRAWS = 200  # Maps drawn anew; each takes a fit
 
 
 def compute_space(table: Table, choices: Choices) -> Found:
@@ -278,8 +277,7 @@ def _relate(
     metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
     rng = choices.make_rng("space", level, "procrustes")
-    places = space.positions[known]
-    return align_spaces(places, scaled, permutations=choices.draws, rng=rng)
+    return align_spaces(space.positions[known], scaled, permutations=choices.draws, rng=rng)
 
 
 def _regress(

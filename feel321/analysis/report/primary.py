@@ -295,8 +295,7 @@ def _compare_slopes(model: Primary, findings: Sequence[Row]) -> Iterator[Row]:
 
 # The primary slopes under other choices.
 
-MOST_CELLS = 20_000
-"""Participants x stimuli beyond which the models would take many minutes."""
+MOST_CELLS = 20_000  # Participants x stimuli beyond which the models would take many minutes
 
 
 def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form

@@ -129,7 +129,9 @@ class TableForm(NamedTuple):
                 names, _, interval = (quantity.source or quantity.name).partition(" | ")
                 pairs = zip((*ENDS, "note"), names.removeprefix("?").split(), strict=False)
                 ends = {end: name for end, name in pairs if name != "-"}
-                if names.startswith("?") and not _is_known(record, ends["value"]):
+                name = ends.get("value")
+                is_known = name in record and record[name] == record[name]  # which NaN is not
+                if names.startswith("?") and not is_known:
                     continue
                 interval = interval or self.interval
                 row = {"interval": INTERVALS.get(interval, interval), **fixed, **own}
@@ -169,10 +171,6 @@ class TableForm(NamedTuple):
             "rows": body,
             "texts": texts,
         }
-
-
-def _is_known(record: Mapping[Any, Any], name: str) -> bool:
-    return name in record and record[name] == record[name]  # which NaN is not
 
 
 def _show_cell(row: Row | None, kind: str, part: str) -> str:
@@ -221,8 +219,7 @@ class Picture:
         return self.drawing() if callable(self.drawing) else self.drawing
 
 
-SLUG_PART = 40
-"""Characters of a name that a file's name keeps."""
+SLUG_PART = 40  # Characters of a name that a file's name keeps
 
 
 def make_slug(*parts: str) -> str:
@@ -344,8 +341,7 @@ def find_table_steps(table: Table) -> dict[str, Step]:
 MOST_DENSE, MOST_PRODUCTS = 1500, 40_000_000
 """Random effects besides those of the largest group, which make a dense matrix; of those and the largest group's."""
 
-FEWEST = 8
-"""Participants and recordings are not thinned below this."""
+FEWEST = 8  # Participants and recordings are not thinned below this
 
 
 def thin_parts(

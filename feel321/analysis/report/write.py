@@ -68,8 +68,7 @@ SECTIONS = (
 PAPER = Section("paper", QUESTIONS["paper"], "paper", "answer:compute_paper")
 """Of a replication, and first on its pages; it needs what the others found."""
 
-Everything = Mapping[Section, Found]
-"""What every section found, in the order of the pages."""
+Everything = Mapping[Section, Found]  # What every section found, in the order of the pages
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)

@@ -202,7 +202,16 @@ def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[s
     sheet = left.drop(columns="rejected", errors="ignore").copy()
     for name in map(str, sheet):
         schema.read_column(sheet, name, what, kind=kinds[name])
-    sheet = _leave_simulated(sheet, what, notes)
+    if "simulated" not in sheet:
+        sheet["simulated"] = False
+    simulated, who = sheet["simulated"], sheet["participant"]
+    both = who[simulated & who.isin(who[~simulated])]
+    refuse_lines(both, what, must="be simulated in all of its lines or in none")
+    if simulated.any() and not simulated.all():
+        gone = f"{int(simulated.sum())} judgements of {who[simulated].nunique()} simulated participants"
+        how = "because people rated too; to analyse them, bring a table of them alone"
+        notes.append(f"{gone} are left out, {how}.")
+        sheet = sheet[~simulated].copy()
     sheet = sheet.assign(**{key: "" for key in ("reference_id", OTHER) if key not in sheet})
     _check_answers(sheet, what)
     notes += [*_check_doubles(sheet, what), *note_ratings(sheet)]
@@ -210,20 +219,6 @@ def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[s
         alike = ["participant", STIMULUS, "reference_id", OTHER, "scale"]
         sheet["repeat"] = (sheet.groupby(alike).cumcount() + 1).astype(str)
     return sheet, notes
-
-
-def _leave_simulated(sheet: DataFrame, what: str, notes: list[str]) -> DataFrame:
-    if "simulated" not in sheet:
-        return sheet.assign(simulated=False)
-    simulated, who = sheet["simulated"], sheet["participant"]
-    both = who[simulated & who.isin(who[~simulated])]
-    refuse_lines(both, what, must="be simulated in all of its lines or in none")
-    if simulated.all() or not simulated.any():
-        return sheet
-    left = f"{int(simulated.sum())} judgements of {who[simulated].nunique()} simulated participants"
-    how = "because people rated too; to analyse them, bring a table of them alone"
-    notes.append(f"{left} are left out, {how}.")
-    return sheet[~simulated].copy()
 
 
 def _check_answers(sheet: DataFrame, what: str) -> None:
@@ -320,9 +315,8 @@ def _choose_metrics(
 
     def list_numeric() -> str:
         names = metrics_of.list_numeric(schema.read_cells(source))
-        return (
-            f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
-        )
+        listed = f"its numeric columns are {', '.join(names)}"
+        return listed if names else "it has no numeric column"
 
     if metrics is None or tuple(metrics) == schema.PLANNED:
         pairs = [(name, schema.STAND_INS.get(name, name)) for name in schema.PLANNED]

@@ -16,8 +16,7 @@ from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.types import Samples
 
 RATE_HZ = 4000.0
-N_SAMPLES = 4000
-"""One second; a length that is fast to transform."""
+N_SAMPLES = 4000  # One second; a length that is fast to transform
 
 WINDOW = window_samples(DEFAULT_WINDOW_S, RATE_HZ)
 TIME_S = np.arange(N_SAMPLES) / RATE_HZ
@@ -49,8 +48,7 @@ def whiten(axes: Samples) -> Samples:
 ADXL345_STEP = 0.0039 * STANDARD_GRAVITY
 """m/s² per count of the paper's sensor: 3.9 mg in its full-resolution mode."""
 
-GAP = round(0.005 * RATE_HZ)
-"""Samples lost at a time: 5 ms."""
+GAP = round(0.005 * RATE_HZ)  # Samples lost at a time: 5 ms
 
 LINE = np.array([[0.6], [0.64], [0.48]])
 """Direction of a motion along one line, of unit length, on no axis and not on the diagonal."""

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from feel321.stimuli.guard import OwnReducer, OwnStream
+from feel321.stimuli.own_methods import OwnReducer, OwnStream
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import WHY_NOT_STREAMING, StreamingReducer
 from feel321.types import Reducer, Samples
@@ -32,8 +32,7 @@ if TYPE_CHECKING:
 
 MS_PER_S = 1000.0
 CARD_HZ, CARD_BLOCK = 48_000.0, 64
-WARM_UP, BLOCKS = 60, 1000
-"""Blocks of a stream before times are taken, and those that are timed."""
+WARM_UP, BLOCKS = 60, 1000  # Blocks of a stream before times are taken, and those that are timed
 
 
 class Candidate(NamedTuple):
@@ -68,8 +67,7 @@ _PROJECTION, _COVARIANCE, _MEAN = 5.0, 12.0, 6.0
 _TO_ONE = 11.0
 """Per sample, of three spectra: squared magnitudes and their root, the phase of the sum, and their product."""
 
-_LEADING = 23.0
-"""Per sample, to find the axis of the motion and take the phase along it."""
+_LEADING = 23.0  # Per sample, to find the axis of the motion and take the phase along it
 
 _AXIS_MEMORY = 19
 """Numbers that frames remember of the axis: two covariances of six, two axes, one loudness."""

@@ -74,33 +74,23 @@ DISTURBED = ("noise", "gaps", "clipping", "gain")
 SHORTEST_S = 0.1
 """Shortest signal that is judged: two periods of the lowest frequency that the metrics compare."""
 
-NOISE = 0.02
-"""Sensor noise against the recording, in amplitude: -34 dB."""
+NOISE = 0.02  # Sensor noise against the recording, in amplitude: -34 dB
 
 GAP_S, GAP_SHARE = 0.005, 0.01
 """Length of a gap, and the share of the samples that gaps take: lost blocks of a driver."""
 
-CLIPPED = 0.01
-"""Share of the energy that a sensor cuts off which saturates."""
-
-QUIET = 0.01
-"""A half with less of the energy than this is no half to be judged."""
-
-GAIN = 0.1
-"""Factor on the recording: a reducer must give as much less."""
+CLIPPED = 0.01  # Share of the energy that a sensor cuts off which saturates
+QUIET = 0.01  # A half with less of the energy than this is no half to be judged
+GAIN = 0.1  # Factor on the recording: a reducer must give as much less
 
 HOP_S, RISE, LOUD = 0.01, 100.0, 0.1
 """An onset is a hop with so many times the energy of the hop before, and that share of the loudest hop's."""
 
-SAME = 1e-9
-"""An output that turning the sensor changes by less than this is not changed."""
-
-LEAST = 1e-12
-"""The least change that is told from none, in energy."""
+SAME = 1e-9  # An output that turning the sensor changes by less than this is not changed
+LEAST = 1e-12  # The least change that is told from none, in energy
 
 
-Place = tuple[str, str, str]
-"""Recording, reducer and condition of a row."""
+Place = tuple[str, str, str]  # Recording, reducer and condition of a row
 
 
 class Effort(NamedTuple):

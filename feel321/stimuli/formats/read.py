@@ -124,7 +124,17 @@ def settle_sampling(
         must = f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}"
         how = "resample=True (command line: --resample) interpolates to an even rate"
         raise ValueError(f"{must}; {how}")
-    even, rate_hz = _resample(samples, time_s)
+    from scipy.interpolate import make_interp_spline
+
+    if time_s.size < SPLINE_POINTS:
+        raise ValueError(f"resampling needs {SPLINE_POINTS} samples or more, got {time_s.size}")
+    elapsed = time_s - time_s[0]
+    period = float(np.median(np.diff(time_s)))
+    n_even = int(elapsed[-1] / period * (1 + 1e-12)) + 1
+    intake.check_samples(n_even, len(samples), 1 / period)
+    grid = np.minimum(np.arange(n_even) * period, elapsed[-1])
+    even = make_interp_spline(elapsed, samples, k=3, axis=1)(grid)
+    rate_hz = 1 / period
     _agree(stated, rate_hz, who="the time stamps")
     made = f"{even.shape[1]} samples at {rate_hz:.6g} Hz by cubic spline"
     return even, rate_hz, (f"resampled on request to {made}: {finding}",)
@@ -170,20 +180,6 @@ def _find_jitter(time_s: Samples, step_s: float) -> str:
     off = f"{irregular.size} of {intervals.size} intervals off"
     first = f"the first at {time_s[irregular[0]]:.6f} s"
     return f"{most}, {off}, {first}, the longest {intervals.max() * 1e3:.6g} ms"
-
-
-def _resample(acceleration: Samples, time_s: Samples) -> tuple[Samples, float]:
-    from scipy.interpolate import make_interp_spline
-
-    if time_s.size < SPLINE_POINTS:
-        raise ValueError(f"resampling needs {SPLINE_POINTS} samples or more, got {time_s.size}")
-    elapsed = time_s - time_s[0]
-    period = float(np.median(np.diff(time_s)))
-    n_even = int(elapsed[-1] / period * (1 + 1e-12)) + 1
-    intake.check_samples(n_even, len(acceleration), 1 / period)
-    grid = np.minimum(np.arange(n_even) * period, elapsed[-1])
-    even = make_interp_spline(elapsed, acceleration, k=3, axis=1)(grid)
-    return np.asarray(even, dtype=np.float64), 1 / period
 
 
 NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2; if it is another, name it (unit, --unit)"

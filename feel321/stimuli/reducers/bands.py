@@ -107,8 +107,7 @@ def dft321_filtered(acceleration: ArrayLike, rate_hz: float) -> Samples:
     sample by sample. First-order bands overlap widely, and where the axes cancel nothing is left to be amplified.
     """
     samples, _ = admit(acceleration, rate_hz)
-    bank = FilterBank(samples.shape[:-2], rate_hz)
-    return bank.push(samples)
+    return FilterBank(samples.shape[:-2], rate_hz).push(samples)
 
 
 _AT_A_TIME = 2048
@@ -130,23 +129,20 @@ class FilterBank:
         reduced = np.zeros((*samples.shape[:-2], samples.shape[-1]))
         for start in range(0, reduced.shape[-1] if samples.size else 0, _AT_A_TIME):
             few = slice(start, start + _AT_A_TIME)
-            reduced[..., few] = self._push_few(samples[..., few])
+            lows = samples[..., None, few] * (1 - self._poles[:, None])
+            lows = _decay(lows, self._poles, self._lows)
+            bands = np.empty((*lows.shape[:-2], len(self._memories), lows.shape[-1]))
+            bands[..., 0, :] = lows[..., 0, :]
+            np.subtract(lows[..., 1:, :], lows[..., :-1, :], out=bands[..., 1:-1, :])
+            np.subtract(samples[..., few], lows[..., -1, :], out=bands[..., -1, :])
+            kept = bands.sum(axis=-3)
+            powers = np.empty((*kept.shape[:-2], 2, *kept.shape[-2:]))
+            np.sum(np.square(bands, out=bands), axis=-3, out=powers[..., 0, :, :])
+            np.square(kept, out=powers[..., 1, :, :])
+            powers = _decay(powers, self._memories, self._energies)
+            kept *= match_energy(powers[..., 0, :, :], powers[..., 1, :, :])
+            reduced[..., few] = kept.sum(axis=-2)
         return reduced
-
-    def _push_few(self, samples: Samples) -> Samples:
-        lows = samples[..., None, :] * (1 - self._poles[:, None])
-        lows = _decay(lows, self._poles, self._lows)
-        bands = np.empty((*lows.shape[:-2], len(self._memories), lows.shape[-1]))
-        bands[..., 0, :] = lows[..., 0, :]
-        np.subtract(lows[..., 1:, :], lows[..., :-1, :], out=bands[..., 1:-1, :])
-        np.subtract(samples, lows[..., -1, :], out=bands[..., -1, :])
-        kept = bands.sum(axis=-3)
-        powers = np.empty((*kept.shape[:-2], 2, *kept.shape[-2:]))
-        np.sum(np.square(bands, out=bands), axis=-3, out=powers[..., 0, :, :])
-        np.square(kept, out=powers[..., 1, :, :])
-        powers = _decay(powers, self._memories, self._energies)
-        kept *= match_energy(powers[..., 0, :, :], powers[..., 1, :, :])
-        return np.asarray(kept.sum(axis=-2))
 
 
 def _decay(values: Samples, poles: Samples, state: Samples) -> Samples:

@@ -282,7 +282,13 @@ def dft321_principal(acceleration: ArrayLike, rate_hz: float) -> Samples:
 def find_onset(samples: Samples) -> tuple[Samples, Samples]:
     """Direction in which the motion begins: where it first comes near half of its largest excursion from the mean."""
     mean = samples.mean(axis=-1, keepdims=True)
-    size = _measure_excursion(samples, mean)
+    # Squared distance from the mean, sample by sample.
+    size = np.empty((*samples.shape[:-2], samples.shape[-1]))
+    for start in range(0, samples.shape[-1], _AT_A_TIME):
+        few = slice(start, start + _AT_A_TIME)
+        excursion = samples[..., few] - mean
+        np.square(excursion, out=excursion)
+        np.sum(excursion, axis=-2, out=size[..., few])
     largest = size.max(axis=-1, keepdims=True)
     first = np.argmax(size >= _ONSET**2 * largest, axis=-1)[..., None, None]
     onset = (np.take_along_axis(samples, first, axis=-1) - mean)[..., 0]
@@ -292,30 +298,14 @@ def find_onset(samples: Samples) -> tuple[Samples, Samples]:
     maybe, surely = (np.argmax(size >= share**2 * largest, axis=-1) for share in (_MAYBE, _SURELY))
     there = slice(maybe.min(initial=size.shape[-1]), surely.max(initial=0) + 1)
     excursion, shares = samples[..., there] - mean, size[..., there] / np.where(still, 1.0, largest)
-    excursion *= np.sqrt(_share_beginning(shares) / np.where(shares > 0, shares * largest, 1.0))[
-        ..., None, :
-    ]
-    anchor = np.einsum("...in,...jn->...ij", excursion, excursion)
-    return onset, np.where(still[..., None], onset[..., :, None] * onset[..., None, :], anchor)
-
-
-def _measure_excursion(samples: Samples, mean: Samples) -> Samples:
-    """Squared distance from the mean, sample by sample."""
-    size = np.empty((*samples.shape[:-2], samples.shape[-1]))
-    for start in range(0, samples.shape[-1], _AT_A_TIME):
-        few = slice(start, start + _AT_A_TIME)
-        excursion = samples[..., few] - mean
-        np.square(excursion, out=excursion)
-        np.sum(excursion, axis=-2, out=size[..., few])
-    return size
-
-
-def _share_beginning(shares: Samples) -> Samples:
-    """Compute each sample's weight as the beginning, from its share of the largest energy; weights add up to 1."""
+    # Each sample's weight as the beginning, from its share of the largest energy; weights add up to 1.
     chance = np.clip((shares - _MAYBE**2) / (_SURELY**2 - _MAYBE**2), 0.0, 1.0)
     not_yet = np.cumprod(1 - chance, axis=-1)
     chance[..., 1:] *= not_yet[..., :-1]
-    return np.asarray(chance)
+    weights = chance / np.where(shares > 0, shares * largest, 1.0)
+    excursion *= np.sqrt(weights)[..., None, :]
+    anchor = np.einsum("...in,...jn->...ij", excursion, excursion)
+    return onset, np.where(still[..., None], onset[..., :, None] * onset[..., None, :], anchor)
 
 
 def measure(spectra: Bins) -> tuple[Samples, Samples]:
@@ -435,7 +425,12 @@ class TrackingFrames(FourierFrames):
         anchors, waking = self._find_anchors(np.sqrt(np.sqrt(strength)), frames)
         shares = share_out(covariances)
         leading = leading_axis(shares + PULL_PER_FRAME * anchors)
-        leading = self._keep_sign(leading, anchors, waking)
+        # Each axis points along the one before it, the first along the first onset; silence has no axis.
+        leading = leading * np.asarray(anchors.any(axis=(-2, -1)))[..., None]
+        before = np.concatenate([self._axis, leading[..., :-1, :]], axis=-2) + waking
+        turns = np.einsum("...mi,...mi->...m", leading, before)
+        leading *= np.cumprod(np.where(turns < 0, -1.0, 1.0), axis=-1)[..., None]
+        self._axis = leading[..., -1:, :]
         past, self._past = _remember(strength[..., None] * leading, self._past, axis=-2)
         axis = tilt(unit(past, leading), shares, anchors)
         merged = align(spectra, energy, axis=axis)
@@ -461,15 +456,6 @@ class TrackingFrames(FourierFrames):
         self._loudness, self._anchor = loudest[..., -1:], sums[..., -1:, :, :]
         onsets *= ((loudest[..., :-1] == 0) & (louder > 0))[..., None]
         return sums / scale, onsets
-
-    def _keep_sign(self, axes: Samples, anchors: Samples, waking: Samples) -> Samples:
-        """Flip each axis to point along the one before it, the first along the first onset; silence has no axis."""
-        axes = axes * np.asarray(anchors.any(axis=(-2, -1)))[..., None]
-        before = np.concatenate([self._axis, axes[..., :-1, :]], axis=-2) + waking
-        turns = np.einsum("...mi,...mi->...m", axes, before)
-        axes *= np.cumprod(np.where(turns < 0, -1.0, 1.0), axis=-1)[..., None]
-        self._axis = axes[..., -1:, :]
-        return axes
 
 
 def _remember(values: Samples, state: Samples, *, axis: int) -> tuple[Samples, Samples]:

@@ -174,10 +174,7 @@ def reduce_stimuli(
 
 
 class DeliveryCheck:
-    """Compares each playback of a set with what was asked of a rig; tolerance_db: of a coil's level.
-
-    full_scale_m_s2: of the set's files. reduced: by stimulus, where its metrics can be known.
-    """
+    """Compares each playback of a set with what was asked; reduced: by stimulus, where its metrics can be known."""
 
     def __init__(
         self,
@@ -240,10 +237,7 @@ class DeliveryCheck:
 
 
 def find_moves(rig: Rig, n_tracks: int, seen: Mapping[str, Samples]) -> Samples:
-    """Find how each of 1 or 3 tracks of a stimulus moves the hand, shape (axes, n_tracks), by directions of the coils.
-
-    Those of rig.toml where none were seen; where it gives none either, a track moves the hand as it is.
-    """
+    """Find how tracks of a stimulus move the hand, (axes, n_tracks), by directions seen, by rig.toml, or as is."""
     sources, mix = (REDUCED,) if n_tracks == 1 else AXES, find_mix(rig)
     directions, unknown = (seen, []) if seen else find_directions(rig)
     if any(source in mix[name] for name in unknown for source in sources):

@@ -195,10 +195,7 @@ class BlockTimes:
 
 
 class Sink:
-    """What the blocks of the mixer go to: a device, simulated coils, or a file; it runs from the time it is made.
-
-    latency_s: from a block to its sound; there_and_back_s: from a block to what the sensor makes of it.
-    """
+    """What the mixer's blocks go to; latency_s: from a block to its sound, there_and_back_s: to the sensor."""
 
     latency_s = there_and_back_s = 0.0
     name = ""

@@ -139,11 +139,7 @@ AUDIBLE = 3.0  # ratio of a hum to the noise without it
 def probe_coils(
     rig: Rig, certificate: Certificate | None, *, rate_hz: float
 ) -> tuple[dict[str, dict[str, Any]], str]:
-    """Play a probe on each coil in turn, and find what is wrong with each; and a hum, while nothing plays.
-
-    Of each coil: level_m_s2, the median response at full scale; direction; coherence; delay_ms since it was sent;
-    distortion; fault.
-    """
+    """Play a probe on each coil in turn, and describe it and what is wrong; and name a hum while nothing plays."""
     sweep = Sweep(
         rate_hz=rate_hz,
         band_hz=(PROBE_HZ[0], min(PROBE_HZ[1], rate_hz / 4)),

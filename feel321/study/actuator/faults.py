@@ -289,7 +289,15 @@ class Diagnosis:
         self.motions = {name: self._find_motion(scene, name) for name in scene.groups}
         found = list(self._find_causes(scene, sent, measured))
         is_swapped = any("swapped" in one for one in found)
-        is_within = all(map(self._is_within, self.motions.values()))
+        is_within = all(
+            not one.is_asked
+            or (
+                (one.is_moving and one.sign > 0 and one.left < FOLLOWS)
+                and max(abs(one.gain_db), abs(one.level_db)) <= self._tolerance_db
+                and one.distortion <= self._settings.max_distortion
+            )
+            for one in self.motions.values()
+        )
         self.is_grave = bool(found) and (is_swapped or not is_within)
         if hum_hz and scene.follows > FOLLOWS and not is_swapped:
             found.append(describe_hum(hum_hz, _rms(hum)))
@@ -312,15 +320,6 @@ class Diagnosis:
             level_db=DB / 2 * math.log(max(moved - noise, TINY) / max(energy(asked), TINY)),
             is_asked=energy(asked) > CLEAR**2 * noise,
             is_moving=moved > CLEAR**2 * noise,
-        )
-
-    def _is_within(self, motion: Fit) -> bool:
-        return not motion.is_asked or (
-            motion.is_moving
-            and motion.sign > 0
-            and motion.left < FOLLOWS
-            and max(abs(motion.gain_db), abs(motion.level_db)) <= self._tolerance_db
-            and motion.distortion <= self._settings.max_distortion
         )
 
     def _find_causes(self, scene: Scene, sent: Frames, measured: Samples) -> Iterator[str]:

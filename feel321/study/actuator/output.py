@@ -241,10 +241,7 @@ class Output:
         return not self._error
 
     def stop(self) -> None:
-        """Fall silent with the next block that the sink asks for.
-
-        What a device holds, it still plays: to throw that away would be a knock on the skin, and begin the device anew.
-        """
+        """Fall silent with the next block; to cut off what a device still holds would be a knock on the skin."""
         self._stopped_s = self._stopped_s or self._clock()
         self._mixer.stop()
 
@@ -294,10 +291,8 @@ class Output:
         )
 
     def _capture(self, take: Take) -> Frames | None:
-        """Take what was recorded: by a file from the start on, by a sensor from the frame in which the onset was sent.
-
-        The times that devices give of their input were seen to be wrong by 10 ms and, at a stream's begin, 0.4 s.
-        """
+        """Take what was recorded: by a file from the start on, by a sensor from the onset's frame."""
+        # Times that devices give of their input were seen to be wrong by 10 ms, at a stream's begin by 0.4 s.
         if isinstance(self._sink, FileSink):
             return np.concatenate(self._sink.blocks).T
         if self._rig.sensor is None or take.sensor is None or not take.n_sensed:

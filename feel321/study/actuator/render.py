@@ -72,10 +72,7 @@ def sum_motion(mix: Mix, directions: Mapping[str, Vector], sources: Sequence[str
 def find_energy(
     mix: Mix, directions: Mapping[str, Vector], covariance: Vector | None = None
 ) -> float:
-    """Mean square at the hand of a one-axis stimulus of mean square 1; or of one with three axes of that covariance.
-
-    The latter, shape (3, 3), is relative to that of its axes.
-    """
+    """Mean square at the hand of a one-axis stimulus of mean square 1; or of three axes, relative to theirs."""
     sources = (REDUCED,) if covariance is None else AXES
     covariance = np.eye(1) if covariance is None else covariance
     covariance = covariance if np.trace(covariance) > 0 else np.eye(3)  # of silence, any will do
@@ -236,18 +233,14 @@ def _find_excesses(
     rate_hz: float,
     certificate: Certificate | None,
 ) -> Iterator[tuple[str, str, float]]:
-    """Find where rendered samples, shape (n, channels), ask too much: actuator, limit, and what they ask.
-
-    With a certificate, the limits hold for what is sent, at the measured full scale, and for the motion it predicts:
-    at a resonance the coil moves more than it is driven.
-    """
+    """Find where rendered samples, shape (n, channels), ask too much: actuator, limit, and what they ask."""
     limits, n_window = rig.limits, round(WINDOW_S * rate_hz)
     for actuator in rig.actuators:
         samples = rendered[:, actuator.channel - 1].astype(np.float64)
         if not samples.any():
             continue
         scale, which, motions = actuator.full_scale_m_s2, "full_scale_m_s2", []
-        if certificate:
+        if certificate:  # at a resonance a coil moves more than it is driven
             coil = certificate.coils[actuator.name]
             scale, which = coil.target, "measured full scale"
             motions = [coil.respond(samples, rate_hz=rate_hz)]

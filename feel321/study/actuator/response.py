@@ -33,10 +33,7 @@ PEAK = 10.0  # least height of a correlation's peak over its standard deviation
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sweep:
-    """Several equal exponential sine sweeps, each with a pause that exceeds latency and ringing.
-
-    duration_s is rounded so that harmonics are in phase (Novak et al.).
-    """
+    """Equal exponential sine sweeps with pauses; duration_s is rounded to put harmonics in phase (Novak et al.)."""
 
     rate_hz: float
     band_hz: Band = BAND_HZ

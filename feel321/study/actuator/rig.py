@@ -88,11 +88,7 @@ class SensorTable(fields.TomlTable):
 
 
 class CoilTable(fields.TomlTable):
-    """`[[simulation.coils]]`: a simulated voice coil in place of the actuator of the same name.
-
-    full_scale_m_s2: at full scale far above resonance. saturation: drive (in full scales) at which the amplifier
-    approaches its limit, `s tanh(u / s)`. noise_m_s2: RMS of each axis of the sensor. latency: in samples.
-    """
+    """`[[simulation.coils]]`: a simulated voice coil in place of the actuator of the same name."""
 
     name: fields.Words
     resonance_hz: fields.Positive = 160.0
@@ -143,11 +139,7 @@ Decibels = Annotated[fields.Positive, Field(le=60)]
 
 
 class CalibrationTable(fields.TomlTable):
-    """`[calibration]`: how `calibrate` measures the coils, and what a certificate must keep to pass.
-
-    max_gain_db: None to propose gain and band for each coil. level: peak of the loudest sweep, as a part of what device
-    and limits allow.
-    """
+    """`[calibration]`: how `calibrate` measures the coils, and what a certificate must keep to pass."""
 
     band_hz: BandHz = (20.0, 1000.0)
     max_gain_db: Decibels | None = None

@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 NOTED = {"rig.toml", "frozen.json"}
 """May change at any time: each session's header holds the rig, and frozen.json its own history."""
 
+# Compared with the journals, row by row (`tables`).
 DERIVED = {"ratings.csv", "participants.csv", "matches.csv"}
-"""Compared with the journals, row by row (`tables`)."""
 
 OCCASIONS = {"report": {"analyze", "withdraw"}, "stimuli": {"build"}}
 """Folder -> occasions on which what is in it may change."""
@@ -99,10 +99,7 @@ def _compare_branch(
     place: tuple[str, str],
     found: Evidence,
 ) -> bool:
-    """Compare the history here with a remote's (place: branch and URL); whether that one must hold of this folder, too.
-
-    Another copy of the study may have gone on from a checkpoint that is here.
-    """
+    """Compare the history here with a remote's (place: branch and URL); whether that must hold of this folder too."""
     home, known, (branch, url) = study.path / EVIDENCE, {one.id for one in own.history}, place
     unknown = [one for one in theirs if one.id not in known]
     said = f"{branch} at {url}, the newest of {theirs[-1].utc}"
@@ -122,7 +119,7 @@ def _compare_branch(
         text = f"lacks {len(unknown)} checkpoints of {said}; an old copy was restored, or it was made anew"
         remedy = "if a backup was restored, say so: feel321 seal --reason TEXT"
         found.findings.append(f"{home}: {text}; {remedy}")
-    else:
+    else:  # another copy of the study may have gone on from a checkpoint that is here
         return False
     return True
 

@@ -25,15 +25,13 @@ MALFORMED = (AttributeError, LookupError, TypeError, RecursionError, ArithmeticE
 """Errors of reading a plan or record that holds other fields, or other types, than feel321 writes."""
 
 _OPENING = (events.SessionBegun, events.SessionResumed)
-_KEEPING = (
+_KEEPING = (  # events that begin the opening of a session, and that belong to it
     *events.REPAIRS, events.DeviceOpened, events.NoteTaken, events.RigAccepted, events.WarmUpBegun,
 )  # fmt: skip
-"""Events that begin the opening of a session, and that belong to it."""
 
-_ANY = (
+_ANY = (  # events that the engine does not decide on: one may come anywhere, and whatever was going on is over
     *_KEEPING, events.SessionResumed, events.SessionSuperseded, events.SessionReleased, events.SessionAborted,
 )  # fmt: skip
-"""Events that the engine does not decide on: one may come anywhere, and whatever was going on is over."""
 
 _AFTER: Mapping[str, tuple[type[events.SessionEvent], ...]] = {
     # A session whose header a crash prevented may be given up.
@@ -139,18 +137,14 @@ class _Paper(Journal):
             raise ValueError(f"holds {told.event!r}, by what came before it is {due}")
         for one in fields(told) if told != event else ():
             got, due = getattr(told, one.name), getattr(event, one.name)
-            if got == due or (one.name == "level_db" and _is_close(got, due)):
+            is_level = one.name == "level_db" and None not in {got, due}
+            if got == due or (is_level and isclose(got, due, abs_tol=1e-6)):  # processors round
                 continue
             if isinstance(told, events.DeviceFailed) and one.name == "reason":  # words for people
                 continue
             place = f"{told.event!r} has {one.name} {got!r}"
             raise ValueError(f"{place}, by the plan and what came before it is {due!r}")
         self.take()
-
-
-def _is_close(one: float | None, other: float | None) -> bool:
-    """Check whether two levels are the same but for the processor's rounding."""
-    return one is not None and other is not None and isclose(one, other, abs_tol=1e-6)
 
 
 class _Tape:

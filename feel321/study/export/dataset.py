@@ -31,12 +31,12 @@ from feel321.records import to_json_value
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.study.actuator.certificate import list_certificates, read_certificate
-from feel321.study.admission import OURS
 from feel321.study.checkpoints import find_newest
 from feel321.study.folder import RATING_COLUMNS
 from feel321.study.freeze import list_info, read_frozen
-from feel321.study.numbers import WITHDRAWN, read_holders
-from feel321.study.people import list_progress, write_roster
+from feel321.study.own_protocols import OURS
+from feel321.study.participants.numbers import WITHDRAWN, read_holders
+from feel321.study.participants.roster import list_progress, write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, TrialRated
 from feel321.study.settings.read import read_settings, read_study_texts
@@ -50,23 +50,21 @@ if TYPE_CHECKING:
     from feel321.types import MetricInfo
 
 BIDS_VERSION = "1.11.0"
-MISSING = "n/a"
-"""What BIDS writes in a cell without a value."""
+MISSING = "n/a"  # what BIDS writes in a cell without a value
 
 NO_METHODS = (
     f"{METHODS}: left out, for no report is of these ratings; feel321 analyze, then export again"
 )
 
-NEEDS = (
+NEEDS = (  # of `[publication]`: what a reader of the data needs
     "title", "description", "authors", "licence", "ethics", "institution", "funding", "released",
 )  # fmt: skip
-"""Of `[publication]`: what a reader of the data needs."""
 
 WITHHELD = ["participant", "number", "first_utc", "last_utc"]
 """Columns of `participants.csv` that tell who somebody is, or when they came."""
 
 FLAGS = {"rejected", "simulated", "training_passed"}
-OWN = {
+OWN = {  # meanings of columns that the data dictionary lacks or defines differently
     "participant_id": "participant of this dataset; numbers are unrelated to the order of participation",
     "state": "how the session ended: finished, or running if it was interrupted",
     "answered": "trials with an answer that counts",
@@ -76,10 +74,8 @@ OWN = {
     "calibration": "certificate of calibration of the rig, numbered",
     "training_passed": "whether the training criterion was met",
 }
-"""Meanings of columns that the data dictionary lacks or defines differently."""
 
-KEY_FILE = ".export.key"
-"""File in the study's folder: the key that draws the new numbers. It is never exported."""
+KEY_FILE = ".export.key"  # file in the study's folder: the key that draws the new numbers. It is never exported.
 
 
 def export_bids(study: StudyFolder, folder: Path, *, simulated: bool = False) -> list[str]:

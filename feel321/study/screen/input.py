@@ -45,11 +45,7 @@ class Request(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Everything that is on the screen in one frame.
-
-    kind: "page" to read or to answer, one "slider", "rows" with a slider for each vibration, "scales" with one for each
-    scale, or a "choice" between parts.
-    """
+    """What is on the screen in one frame; kind: "page", "slider", "rows" or "scales" of sliders, or "choice"."""
 
     kind: str
     state: str  # "reading", "feeling" or about to, "stroking" the real surface, "answering"

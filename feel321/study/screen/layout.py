@@ -407,10 +407,7 @@ class _TrialLayout:
                 sheet.targets.append(Target(field, "choose", name))
 
     def add_rows(self, box: Box) -> None:
-        """Set the reference beside the words of the scale, and under them a row for each vibration.
-
-        Equal bands, each with its word above, cut the sliders: ITU-R BS.1534-3, attachment 1.
-        """
+        """Set the reference and a slider per vibration, in equal bands (ITU-R BS.1534-3, attachment 1)."""
         sheet, scale, view, unit = self.sheet, self.scale, self.view, self.sheet.unit
         rated = [judgement.part for judgement in self.trial.judgements]
         names = {part.name: self.texts.name_part(part.name) for part in self.trial.parts}

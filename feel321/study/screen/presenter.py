@@ -27,10 +27,7 @@ SILENCE_S = 1.0  # longest wait for an output to fall silent before it is asked 
 
 
 class ScreenPresenter:
-    """Shows, plays, and passes on what the participant does: `study.session.ports.Presenter`.
-
-    clock: gives the time in s since the session began. hand: of a simulated participant.
-    """
+    """Shows, plays and passes on what the participant does; clock: in s since the session began."""
 
     def __init__(
         self,
@@ -200,10 +197,7 @@ class ScreenPresenter:
         return replace(playback, act=act, measured={**playback.measured, "late_frames": late})
 
     def _watch_playing(self) -> tuple[Pause | Abort | None, bool]:
-        """Show frames until the output is silent: what ends the trial or feels another part stops it.
-
-        Returns the act that ends the trial, and whether the vibration came to its end.
-        """
+        """Show frames until the output is silent; returns what ends the trial, and whether nothing stopped it."""
         act: Pause | Abort | None = None
         stopped_s = inf
         while self._output.is_playing and self._clock() - stopped_s < SILENCE_S:

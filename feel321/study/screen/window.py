@@ -59,10 +59,7 @@ def drop_repeats(events: list[InputEvent]) -> list[InputEvent]:
 
 @contextmanager
 def hold_signals() -> Iterator[Callable[[], None]]:
-    """Hold Ctrl-C and the request to end until the function that this gives is called.
-
-    Outside the main thread, which alone receives signals, nothing is held.
-    """
+    """Hold Ctrl-C and SIGTERM until the function given is called; only the main thread receives signals."""
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
@@ -240,10 +237,7 @@ def open_screen(
     size: tuple[int, int] | None = None,
     screen: int = 0,
 ) -> Iterator[Window]:
-    """Open the window that participants look at, and close it whatever happens.
-
-    clock: gives the time in s since the session began; size: of a window, in pixels; screen: which screen, from 0.
-    """
+    """Open the participants' window, and close it whatever happens; clock: in s since the session began."""
     with _needing_display():
         from psychopy import logging, monitors, visual  # looks for a display already here
 

@@ -32,8 +32,9 @@ class SessionEvent:
     """Something that happened in a session; a subclass gives its name."""
 
     event: ClassVar[str] = ""
-    optional: ClassVar[frozenset[str]] = frozenset()
-    """Fields that a record leaves out where they are empty."""
+    optional: ClassVar[frozenset[str]] = (
+        frozenset()
+    )  # fields that a record leaves out where they are empty
 
     def __init_subclass__(cls, event: str = "") -> None:  # noqa: D105 - every subclass is a record
         dataclass(frozen=True)(cls)
@@ -175,8 +176,7 @@ class SessionReleased(SessionEvent, event="released"):
     """The participant will not come back."""
 
 
-NOTE_LETTERS = 1000
-"""Longest note, in characters."""
+NOTE_LETTERS = 1000  # longest note, in characters
 
 
 class NoteTaken(SessionEvent, event="note"):

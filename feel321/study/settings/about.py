@@ -87,11 +87,10 @@ class PaperTable(kinds.TomlTable):
 
 # What an export says of the study besides its data.
 
-LICENCES = (
+LICENCES = (  # SPDX names of the licences that data are published under
     "CC0-1.0", "CC-BY-4.0", "CC-BY-SA-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "CC-BY-ND-4.0", "CC-BY-NC-ND-4.0",
     "PDDL-1.0", "ODC-By-1.0", "ODbL-1.0", "CDLA-Permissive-2.0", "CDLA-Sharing-1.0",
 )  # fmt: skip
-"""SPDX names of the licences that data are published under."""
 
 _ORCID = kinds.like(
     r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])",

@@ -22,8 +22,7 @@ from pydantic_core.core_schema import ValidationInfo
 from feel321 import intake
 from feel321.extensions import is_given
 
-OFF = "off"
-"""Switches a number off that may be left out: TOML has no null."""
+OFF = "off"  # switches a number off that may be left out: TOML has no null
 
 MOST = 1e9
 """Beyond this no setting means anything, whatever its unit; what costs time or memory has a ceiling of its own."""

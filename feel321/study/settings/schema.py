@@ -31,8 +31,8 @@ from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
-from feel321.study.admission import OURS, name_protocols
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
+from feel321.study.own_protocols import OURS, name_protocols
 from feel321.study.session.plan import Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.about import ObserverTable, PaperTable, PublicationTable
@@ -59,12 +59,11 @@ class StudyTable(kinds.TomlTable):
 # Recordings.
 
 SCENE_RATE_HZ = 10000.0  # sampling rate of scenes; that of a file is what the file says
-_NOT_OF = {
+_NOT_OF = {  # what a recording is -> what its table cannot say
     "scene": {"unit", "columns", "full_scale", "resample"},
     "file": {"seed", "duration_s"},
     "files": {"seed", "duration_s", "name", "picture"},
 }
-"""What a recording is -> what its table cannot say."""
 
 
 def _check_scene(scene: str) -> str:
@@ -379,8 +378,7 @@ class ScaleTable(kinds.TomlTable):
 
 # Groups of participants, and stations.
 
-MOST_GROUPS = 64
-"""A balanced design wants several participants in each group; more groups than this are a slip."""
+MOST_GROUPS = 64  # a balanced design wants several participants in each group; more groups than this are a slip
 
 TAKEN = {*PARTICIPANT_COLUMNS, *LAST_PARTICIPANT_COLUMNS, *RATING_COLUMNS} - set(CHOOSING)
 """Names of columns: a factor becomes one of `participants.csv`, which is joined with `ratings.csv`."""

@@ -38,10 +38,7 @@ _PLACE = ("session", "question", "occasion")
 
 
 def write_answers(study: StudyFolder) -> list[Row]:
-    """Write all answers of a study, if it has or had any, and return them.
-
-    Those of a session that was begun anew are there and marked as rejected; `storage` says where each is kept.
-    """
+    """Write all answers of a study, if it has or had any; those of a session begun anew are marked as rejected."""
     rows = [row for one in study.read_people() for row in list_answers(one)]
     path = study.path / ANSWERS_FILE
     if rows or path.exists():

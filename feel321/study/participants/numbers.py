@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder
     from feel321.study.session.plan import Plan
 
-PATIENCE_S = 60.0
-"""How long others are waited for that plan sessions."""
+PATIENCE_S = 60.0  # how long others are waited for that plan sessions
 
 _HEAD = re.compile(
     rb'"participant": "([^"]+)",\s*"number": (\d+),\s*"simulated": (true|false)', re.ASCII

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,11 +24,8 @@ from feel321.stimuli.recording import check_acceleration
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.types import MetricInfo, Samples
 
-TIMEOUT_S = 60.0
-"""How long a command may take for one signal, unless its table says `timeout_s`."""
-
-SLACK = 1e-9
-"""What rounding may add to a metric's declared bounds."""
+TIMEOUT_S = 60.0  # How long a command may take for one signal, unless its table says `timeout_s`
+SLACK = 1e-9  # What rounding may add to a metric's declared bounds
 
 
 def _call_on_copies(
@@ -105,9 +101,8 @@ class OwnStream:
         """Its constant delay."""
         latency = call(self.method, getattr, self.stream, "latency_samples")
         if isinstance(latency, bool) or not isinstance(latency, int | np.integer) or latency < 0:
-            raise ValueError(
-                f"{self.method}: latency_samples must be a whole number from 0, got {describe(latency)}"
-            )
+            got = f"got {describe(latency)}"
+            raise ValueError(f"{self.method}: latency_samples must be a whole number from 0, {got}")
         return int(latency)
 
     def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:
@@ -149,9 +144,8 @@ class OwnMetric:
         try:
             return MetricInfo(label, **known)
         except (TypeError, ValueError) as error:
-            raise ValueError(
-                f"{self.method}: {error}; declare it in [metrics.{self.method.name}]"
-            ) from None
+            do = f"declare it in [metrics.{self.method.name}]"
+            raise ValueError(f"{self.method}: {error}; {do}") from None
 
     def __call__(self, acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> float:
         """Compare three axes, (3, n), with one, (n,)."""
@@ -230,23 +224,17 @@ def _run_program(
             return last
         _run(method, {"{input}": str(source), "{output}": str(target)})
         if not target.is_file():
-            raise ValueError(
-                f"{method}: the command wrote no file at {{output}}; it must write a WAV file there"
-            )
-        return _read_output(method, target, rate_hz, name="{output}")
-
-
-def _read_output(method: Method, path: Path, rate_hz: float, *, name: str) -> Samples:
-    """Read a WAV file that must have the rate of its recording."""
-    try:
-        samples, rate = read_wav(path)
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{method}: {name} cannot be read as a WAV file ({error})") from None
-    if rate != round(rate_hz):
-        raise ValueError(
-            f"{method}: {name} must have its recording's rate of {round(rate_hz)} Hz, got {rate} Hz; resample it"
-        )
-    return samples
+            do = "it must write a WAV file there"
+            raise ValueError(f"{method}: the command wrote no file at {{output}}; {do}")
+        try:
+            samples, rate = read_wav(target)
+        except (OSError, ValueError) as error:
+            why = f"{{output}} cannot be read as a WAV file ({error})"
+            raise ValueError(f"{method}: {why}") from None
+        if rate != round(rate_hz):
+            must = f"{{output}} must have its recording's rate of {round(rate_hz)} Hz"
+            raise ValueError(f"{method}: {must}, got {rate} Hz; resample it")
+        return samples
 
 
 def _run(method: Method, files: Mapping[str, str]) -> str:
@@ -264,9 +252,8 @@ def _run(method: Method, files: Mapping[str, str]) -> str:
             f"{method}: the command took longer than {limit_s:g} s and was stopped; set timeout_s in its table"
         ) from None
     except OSError as error:
-        raise ValueError(
-            f"{method}: {words[0]}: {error.strerror}; check its name, and whether it may be run"
-        ) from None
+        do = "check its name, and whether it may be run"
+        raise ValueError(f"{method}: {words[0]}: {error.strerror}; {do}") from None
     if done.returncode:
         last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2][:200]
         said = f": {last}" if last else " and wrote nothing to stderr"

@@ -1,4 +1,4 @@
-"""Steps of a study before the sessions: check and build."""
+"""`check` and `build`: the steps of a study before its sessions."""
 
 import csv
 from collections.abc import Callable, Iterator, Sequence
@@ -34,8 +34,8 @@ from feel321.study.settings.recordings import list_unread, try_recordings
 from feel321.study.settings.schema import Settings, count_groups
 
 Progress = Callable[[int, int], None]
+# Recording -> covariance of its axes as they are felt, (3, 3).
 Covariances = dict[str, NDArray[np.float64]]
-"""Recording -> covariance of its axes as they are felt, (3, 3)."""
 
 
 def build_study(

@@ -27,8 +27,8 @@ from feel321.protocols.trial import (
     Task,
 )
 
+# Names of feel321's own protocols.
 OURS = tuple(name for name, one in PROTOCOLS.items() if not one.sha256)
-"""Names of feel321's own protocols."""
 
 WORDS = ("question", "low_label", "high_label")
 PAGE = ("title", "text")

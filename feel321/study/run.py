@@ -1,4 +1,4 @@
-"""Sessions in the lab: a participant, a screen, and actuators.
+"""`run`: a session in the lab, with a participant, a screen and actuators.
 
 Device and window are opened only once the journal has its header. What can be known to be missing or wrong before
 that is refused before the participant gets a number.
@@ -33,7 +33,7 @@ from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
 from feel321.study.observer.model import Casting, find_person, make_model
 from feel321.study.observer.simulated import Participant
-from feel321.study.people import make_progress
+from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place
 from feel321.study.sessions import Room, lead_session, list_rig_problems, plan_sessions
@@ -47,7 +47,6 @@ if TYPE_CHECKING:
 
     from feel321.study.actuator.delivered import DeliveryCheck
     from feel321.study.actuator.output import Output
-    from feel321.study.screen.input import Hand
     from feel321.study.session.journal import Journal
     from feel321.study.session.plan import Plan
     from feel321.study.session.ports import Presenter
@@ -241,7 +240,13 @@ def open_lab(plan: Plan, journal: Journal, *, room: Room) -> Iterator[Presenter]
         output.lead_s = room.certificate.lead_s if room.certificate else 0.0
         screen = open_screen(clock=clock, windowed=room.windowed, screen=room.screen)
         window = stack.enter_context(screen)
-        hand = _seat_hand(plan, room=room, clock=clock)
+        hand = None
+        if (casting := room.casting) is not None:
+            from feel321.study.screen.robot import PressingHand
+
+            person = find_person(plan.participant)
+            mind = Participant(casting.model, seed=casting.seed, number=person)
+            hand = PressingHand(mind, clock=clock, keys=keys)
         own = {} if keys == USUAL else {"keys": keys.model_dump(mode="json")}
         if room.lsl:
             stack.enter_context(open_outlet(journal, clock))
@@ -290,14 +295,3 @@ def _make_check(room: Room) -> DeliveryCheck | None:
         certificate=room.certificate,
         tolerance_db=settings.session.quality.level_error_db,
     )
-
-
-def _seat_hand(plan: Plan, *, room: Room, clock: Callable[[], float]) -> Hand | None:
-    """Seat a simulated participant."""
-    if (casting := room.casting) is None:
-        return None
-    from feel321.study.screen.robot import PressingHand
-
-    person = find_person(plan.participant)
-    mind = Participant(casting.model, seed=casting.seed, number=person)
-    return PressingHand(mind, clock=clock, keys=_get_rig(room).keys)

@@ -19,14 +19,9 @@ T = TypeVar("T")
 
 ROSTER_FILE = "participants.csv"
 
-REMOVING, REMOVED = "removing", "removed"
-"""States of a withdrawal: begun, and finished."""
-
-LOCK_FILE = ".lock"
-"""Held while a session runs or a participant leaves."""
-
-LETTERS = 12
-"""Of a rig's digest, where it is shown."""
+REMOVING, REMOVED = "removing", "removed"  # states of a withdrawal: begun, and finished
+LOCK_FILE = ".lock"  # held while a session runs or a participant leaves
+LETTERS = 12  # of a rig's digest, where it is shown
 
 ESTIMATED = "latency"
 """How an onset was got (`dac_source`) where the device gave no time of it: `actuator.device.FROM_LATENCY`."""
