@@ -312,9 +312,8 @@ class Panel:
 def refuse_untested(table: Table) -> None:
     """Refuse ratings of references and anchors alone."""
     if not table.rows["role"].isin(["test", PAIR]).any():
-        raise ValueError(
-            "ratings must be of one stimulus or more with role 'test', got none of such"
-        )
+        got = "got none of such"
+        raise ValueError(f"ratings must be of one stimulus or more with role 'test', {got}")
 
 
 def make_panel(

@@ -209,8 +209,8 @@ def _describe(claim: PaperClaim, found: ClaimValue, without: ClaimValue | None) 
 
 def describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> str:
     """Name the unit that comes closest, or is beyond."""
-    sign = 1 if upward else -1
-    name, ends = min(beside.items(), key=lambda item: sign * item[1][0])
+    nearest = min if upward else max
+    name, ends = nearest(beside.items(), key=lambda item: item[1][0])
     way = 1 if ends[0] >= 0 else -1
     low, high = sorted(way * end for end in ends[1:])
     value, interval = words.format_estimate(way * ends[0], low, high, kind=kind)
@@ -260,8 +260,7 @@ def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
         found = found.groupby(sources.astype(str)).mean()
     check_name(reducer, sorted(map(str, found)), "reducer")
     own = found[reducer]
-    others = choose_others(claim, found, reducer)
-    beside = {name: _average(own - found[name]) for name in others}
+    beside = {name: _average(own - found[name]) for name in choose_others(claim, found, reducer)}
     return ClaimValue(
         *_average(own), n=len(own), beside=beside, interval=OVER_RECORDINGS if len(own) > 1 else "",
         method=f"{metric} of {reducer}, mean over recordings", note=note_lacking(claim, found),
@@ -303,8 +302,7 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
 def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
     """Estimate the slope of ratings on a metric within recordings, all metrics together; option: metric."""
     metric = require_option(claim, "metric")
-    metrics = dict.fromkeys([*table.metrics, metric])
-    fit = fit_primary(table, list(metrics), explain=False)
+    fit = fit_primary(table, list(dict.fromkeys([*table.metrics, metric])), explain=False)
     if metric not in fit.slopes.index or not fit.slopes.loc[metric, "estimable"]:
         raise ValueError(f"the slope on {metric} is not estimable")
     slope = fit.slopes.loc[[metric]].to_dict("records")[0]

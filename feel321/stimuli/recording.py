@@ -254,9 +254,8 @@ def as_samples(signal: Signal, rate_hz: float | None) -> tuple[Samples, float]:
     given, rate = as_signal(signal, rate_hz)
     samples = coerce_real(given, "signal")
     if samples.ndim not in {1, 2} or not samples.size:
-        raise ValueError(
-            f"signal must have the shape (n,) or (axes, n) with n >= 1, got {samples.shape}"
-        )
+        got = f"got {samples.shape}"
+        raise ValueError(f"signal must have the shape (n,) or (axes, n) with n >= 1, {got}")
     check_finite(samples, "signal")
     return samples, rate
 
@@ -376,7 +375,6 @@ def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> Samples:
         )
     check_finite(signal, "reduced")
     if largest(signal) > SAFE_PEAK[1]:
-        raise ValueError(
-            f"reduced must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(signal):.3g}; is it in m/s^2?"
-        )
+        got = f"got {largest(signal):.3g}; is it in m/s^2?"
+        raise ValueError(f"reduced must have a peak of at most {SAFE_PEAK[1]:g}, {got}")
     return signal

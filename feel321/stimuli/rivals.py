@@ -184,24 +184,20 @@ def level_db(original: Samples, reduced: Samples) -> Samples:
 def smooth_bands(pair: Pair) -> tuple[Samples, Samples, Samples]:
     """Middles of the bands in Hz; mean energy per bin of the recording and of the reduced signal, (..., n_bands)."""
     n = pair.samples.shape[-1]
-    centres = _band_centres(n, pair.rate_hz)
+    # Bands 22 % wide that fill the felt range; possibly none.
+    lowest, highest = max(LOWEST_HZ, pair.rate_hz / n), min(HIGHEST_HZ, pair.rate_hz / 2)
+    centres = np.zeros(0)
+    if lowest < highest:
+        ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
+        n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
+        edges = np.geomspace(lowest, highest, n_bands + 1)
+        centres = (edges[1:] + edges[:-1]) / 2
     smooth = WeberSmoothing(centres, pair.rate_hz / n, n // 2 + 1)
     # What is left of a sum of energies may be negative by rounding.
     original, reduced = (
         np.maximum(smooth(energy[..., smooth.bins]), 0.0) for energy in pair.energies
     )
     return centres, original, reduced
-
-
-def _band_centres(n_samples: int, rate_hz: float) -> Samples:
-    """Middles of bands 22 % wide that fill the felt range; possibly none."""
-    lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
-    if lowest >= highest:
-        return np.zeros(0)
-    ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
-    n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
-    edges = np.geomspace(lowest, highest, n_bands + 1)
-    return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
 def level_difference(pair: Pair) -> Samples:
@@ -304,8 +300,7 @@ def find_depths(energy: Samples, rate_hz: float) -> Samples:
     shares = (band[:, None] == np.unique(band[band >= 0])).astype(float)
     depths = 2 * np.sqrt(np.abs(spectrum) ** 2 @ shares)
     mean = mean[..., None]
-    unknown = np.full_like(depths, np.nan)
-    return np.asarray(np.divide(depths, mean, out=unknown, where=mean > 0))
+    return np.asarray(np.divide(depths, mean, out=np.full_like(depths, np.nan), where=mean > 0))
 
 
 def compare_depths(recorded: Samples, reduced: Samples) -> Samples:

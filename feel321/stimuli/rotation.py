@@ -168,9 +168,8 @@ def rotation_statistics(
     [0.05, 0.0]
     """
     if not rotations >= LEAST_ROTATIONS or rotations % 1:  # neither NaN nor infinity passes
-        raise ValueError(
-            f"rotations must be a whole number of {LEAST_ROTATIONS} or more, got {rotations}"
-        )
+        got = f"got {rotations}"
+        raise ValueError(f"rotations must be a whole number of {LEAST_ROTATIONS} or more, {got}")
     given, rate = as_signal(recording, rate_hz)
     chosen = REDUCERS.choose(reducers)
     turns = random_rotations(rotations, as_rng(rng))

@@ -150,9 +150,8 @@ def _estimate(
 
     samples, rate = as_samples(signal, rate_hz)
     if samples.shape[:-1] not in {(), (AXES,)}:
-        raise ValueError(
-            f"signal must have one axis or three, got the shape {samples.shape}{suggest_transpose(samples)}"
-        )
+        got = f"got the shape {samples.shape}{suggest_transpose(samples)}"
+        raise ValueError(f"signal must have one axis or three, {got}")
     length = min(window_samples(window_s, rate), samples.shape[-1])
     frequencies, times, density = by_scipy(
         np.atleast_2d(samples),

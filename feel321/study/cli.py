@@ -30,7 +30,7 @@ from cyclopts.exceptions import MissingArgumentError
 
 from feel321 import __version__, files, intake
 from feel321.doors import clean_text
-from feel321.study import options, signals, study
+from feel321.study import options, recording_verbs, study
 from feel321.study.folder import SETTINGS_FILE, Outcome, StudyFolder, UsageError, require_study
 from feel321.study.study import Study
 from feel321.study.terminal import CALL, Call, cap, dump_json, echo, wants_bar, warn
@@ -209,7 +209,7 @@ def open_study(name: str, path: Path) -> Study:
 
 def make_verb(name: str) -> Callable[..., int]:
     """Make a verb of what has its name: a function whose arguments are those of a command line, and its exit code."""
-    homes = (Study, study, signals)
+    homes = (Study, study, recording_verbs)
     do: Callable[..., Any] = next(getattr(one, name) for one in homes if hasattr(one, name))
     parameters = _list_parameters(do)
     if name not in WORDY and inspect.signature(do).return_annotation != "None":
@@ -313,7 +313,7 @@ def show_set(study: Study, found: StimulusSet) -> Outcome:
 
 def show_simulated(study: Study, found: tuple[int, int]) -> Outcome:
     """Show how many ratings there are, and what was planted in them."""
-    from feel321.study.simulation import regress_planted
+    from feel321.study.simulate import regress_planted
 
     slopes, reducers = regress_planted(study.settings, study.stimuli())
     file, (people, rows) = str(study.folder.ratings), found

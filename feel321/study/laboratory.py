@@ -95,19 +95,19 @@ class Laboratory(OpenStudy):
         device : str, optional
             Instead of the rig's; 'file' writes WAV files.
         accept_rig : bool
-            Resume on a changed rig or certificate; noted.
+            Resume although the rig or its certificate has changed; the journal records it.
         lsl : bool
             Send onsets to the lab streaming layer.
         rehearse : bool
-            Stored in rehearsals/ and never analysed.
+            Rehearse: the session is stored in rehearsals/ and never analysed.
         simulate_participant : bool
             A simulated participant presses keys.
         seed : int, optional
-            Of --simulate-participant; the study's by default.
+            Seed of the simulated participant; the study's by default.
         """
         if seed is not None and not simulate_participant:
             raise UsageError("--seed needs --simulate-participant; people have no seed")
-        from feel321.study.lab import SessionLog, run_participant
+        from feel321.study.run import SessionLog, run_participant
         from feel321.study.sessions import read_room
 
         room = read_room(self.choose(rehearse), now=self.now)
@@ -146,7 +146,7 @@ class Laboratory(OpenStudy):
         self, participants: options.People = 16, rng: options.Seed = None
     ) -> tuple[int, int]:
         """Do as `simulate`, without pandas, which takes a second to import; count participants and ratings."""
-        from feel321.study.simulation import simulate_study
+        from feel321.study.simulate import simulate_study
 
         if participants < 1:
             raise ValueError(f"participants must be 1 or more, got {participants}")
@@ -161,7 +161,7 @@ class Laboratory(OpenStudy):
     def status(
         self, *, notes: bool = False, watch: options.Page | None = None, rehearsals: bool = False
     ) -> Status:
-        """Show the progress of every participant. Blind.
+        """Show the progress of every participant, without naming a condition.
 
         Example: feel321 status my-study
                  feel321 status my-study --watch sessions.html
@@ -171,7 +171,7 @@ class Laboratory(OpenStudy):
         notes : bool
             Also the experimenter's notes.
         watch : str or path, optional
-            Keep a blind page until Ctrl-C.
+            Write the progress to a page, renewed until Ctrl-C.
         rehearsals : bool
             Rehearsals instead of sessions.
         """
@@ -182,7 +182,7 @@ class Laboratory(OpenStudy):
         if watch is not None:
             if notes:
                 raise UsageError("--watch does not go with --notes; leave one out")
-            from feel321.study.persons.withdrawal import recording_output
+            from feel321.study.participants.withdrawal import recording_output
 
             page = as_path(watch)
             with recording_output(folder, "status", page, now=self.now):
@@ -211,7 +211,7 @@ class Laboratory(OpenStudy):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.persons.withdrawal import take_note
+        from feel321.study.participants.withdrawal import take_note
 
         notice = take_note(self.choose(rehearsals), participant, text, now=self.now)
         if notice:
@@ -272,7 +272,7 @@ class Laboratory(OpenStudy):
         is_sure : bool
             Do not ask.
         """
-        from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+        from feel321.study.participants.withdrawal import release_participant, withdraw_participant
         from feel321.study.terminal import ask, is_answerable
 
         folder, facts = self.folder, {"participant": participant}

@@ -1,4 +1,4 @@
-"""What simulated and real sessions have in common: the set as the settings ask for it, the plans, and the lead."""
+"""What simulated and real sessions have in common: the stimulus set, the plans, and how a session is led."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
-from feel321.study.numbers import Station, plan_participants
-from feel321.study.persons.answers import make_keeper
+from feel321.study.participants.answers import make_keeper
+from feel321.study.participants.numbers import Station, plan_participants
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.opening import open_session

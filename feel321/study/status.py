@@ -21,7 +21,7 @@ from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import minutes
-from feel321.study.people import LOCK_FILE, Progress, describe_rigs, make_progress
+from feel321.study.participants.roster import LOCK_FILE, Progress, describe_rigs, make_progress
 from feel321.study.session.events import (
     DeviceFailed,
     PageRead,

@@ -13,9 +13,9 @@ import pytest
 from feel321.analysis.table.reading import read_table
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.study.analyze import analyze_study
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study
+from feel321.study.simulate import simulate_study
 
 if TYPE_CHECKING:
     from pathlib import Path

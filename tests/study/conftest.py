@@ -12,13 +12,13 @@ import pytest
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Records
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Design, Plan, Stale, create_plan, make_plan
 from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
-from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

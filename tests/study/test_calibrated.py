@@ -12,17 +12,16 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.wav import read_wav
-from feel321.study import lab
 from feel321.study.actuator.certificate import Certificate, make_manual, write_certificate
 from feel321.study.actuator.device import SimulatedCoil
 from feel321.study.actuator.render import find_rig_problems, render_stimulus
 from feel321.study.actuator.response import Sweep, make_inverse, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig, take_device
 from feel321.study.auditing.study import audit_study
-from feel321.study.lab import run_participant
+from feel321.study.check import check_study
+from feel321.study.run import run_participant
 from feel321.study.session.journal import read_journal
 from feel321.study.sessions import read_room
-from feel321.study.workflow import check_study
 from tests.study.actuator.outside import predict
 
 if TYPE_CHECKING:
@@ -40,13 +39,13 @@ DEVICE = "simulated"
 def ready(smallest: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
     """A study that is built, on a machine that has all that is needed and somebody in the place of the screen."""
     monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(lab, "find_spec", lambda _: "there")
+    monkeypatch.setattr("feel321.study.run.find_spec", lambda _: "there")
 
     @contextmanager
     def open_presenter(*_: object, **__: object) -> Iterator[Any]:
         yield scripted()
 
-    monkeypatch.setattr(lab, "open_lab", open_presenter)
+    monkeypatch.setattr("feel321.study.run.open_lab", open_presenter)
     return smallest
 
 
@@ -137,7 +136,7 @@ def test_a_certificate_that_comes_in_mid_session_is_another_rig(
     def open_presenter(*_: object, **__: object) -> Iterator[Any]:
         yield scripted(stop_after=1)
 
-    monkeypatch.setattr(lab, "open_lab", open_presenter)
+    monkeypatch.setattr("feel321.study.run.open_lab", open_presenter)
     with pytest.raises(KeyboardInterrupt):
         visit(ready)
     written = write_certificate(make(ready), ready.path)

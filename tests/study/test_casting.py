@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.study.settings.read import read_settings
-from feel321.study.simulation import regress_planted
+from feel321.study.simulate import regress_planted
 
 if TYPE_CHECKING:
     from pathlib import Path

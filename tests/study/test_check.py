@@ -5,11 +5,11 @@ import json
 import pytest
 
 from feel321.stimuli.sets.build import Facts
+from feel321.study.check import build_study, check_study, find_warnings
 from feel321.study.cli import main
 from feel321.study.folder import Problems, StudyFolder
 from feel321.study.settings.read import read_settings
 from feel321.study.study import Study
-from feel321.study.workflow import build_study, check_study, find_warnings
 
 
 @pytest.fixture
@@ -58,7 +58,7 @@ def test_every_group_that_feels_something_else_is_planned(
         planned.append(number)
         raise ValueError(f"group {number} has nothing to feel")
 
-    monkeypatch.setattr("feel321.study.workflow.make_plan", refuse)
+    monkeypatch.setattr("feel321.study.check.make_plan", refuse)
     assert list(check_study(study).problems) == [
         "group 1 has nothing to feel",
         "group 2 has nothing to feel",

@@ -313,8 +313,8 @@ KEPT = "; what is done is kept, the same command continues"
     ("place", "verb", "kept"),
     [
         ("status.read_status", "status", ""),
-        ("workflow.build_study", "build", ""),
-        ("simulation.simulate_study", "simulate", KEPT),
+        ("check.build_study", "build", ""),
+        ("simulate.simulate_study", "simulate", KEPT),
     ],
 )
 def test_ctrl_c_is_one_line_and_exit_130(

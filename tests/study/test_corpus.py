@@ -10,11 +10,11 @@ import pytest
 
 from feel321.stimuli.wav import write_wav
 from feel321.study import cli
+from feel321.study.check import build_study, check_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session.plan import make_plan
 from feel321.study.settings.read import make_design, read_settings
 from feel321.study.settings.recordings import open_recordings
-from feel321.study.workflow import build_study, check_study
 
 CORPUS = """
 [[recordings]]
@@ -107,7 +107,7 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 from feel321.study.folder import StudyFolder
-from feel321.study.workflow import build_study
+from feel321.study.check import build_study
 
 def kill(done, total):
     if done == int(sys.argv[2]):

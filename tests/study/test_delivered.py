@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import lab
 from feel321.study.auditing.study import audit_study
-from feel321.study.lab import run_participant
 from feel321.study.ratings import write_ratings
+from feel321.study.run import run_participant
 from feel321.study.sessions import read_room
 
 if TYPE_CHECKING:
@@ -51,11 +50,11 @@ full_scale_m_s2 = {full_scale}
 def ready(smallest: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
     """A study that is built, and somebody in the place of the screen who feels what the rig plays."""
     monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(lab, "find_spec", lambda _: "there")
+    monkeypatch.setattr("feel321.study.run.find_spec", lambda _: "there")
 
     @contextmanager
     def open_presenter(plan: Any, *_: object, room: Any) -> Iterator[Any]:
-        from feel321.study.lab import _open_output
+        from feel321.study.run import _open_output
 
         with _open_output(plan, room=room, clock=perf_counter) as output:
             presenter = scripted()
@@ -69,7 +68,7 @@ def ready(smallest: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch)
             presenter.play = play
             yield presenter
 
-    monkeypatch.setattr(lab, "open_lab", open_presenter)
+    monkeypatch.setattr("feel321.study.run.open_lab", open_presenter)
     return smallest
 
 

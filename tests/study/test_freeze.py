@@ -31,7 +31,7 @@ from feel321.study.session.engine import run_session
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Stale, create_plan, make_plan
 from feel321.study.settings.read import make_design, make_identity, read_settings
-from feel321.study.simulation import simulate_study
+from feel321.study.simulate import simulate_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable

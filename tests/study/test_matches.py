@@ -18,6 +18,7 @@ from feel321.protocols.threshold import ATTENUATION_DB, DB_PER_POINT, MOST_START
 from feel321.protocols.trial import MATCHING, Flow
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.auditing.study import audit_study
+from feel321.study.check import build_study
 from feel321.study.folder import create_study
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import Participant
@@ -26,8 +27,7 @@ from feel321.study.session.engine import run_session
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Design, Stale, create_plan, make_plan
 from feel321.study.session.ports import Confirm, Feel, Move, Playback, Scaled
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study
+from feel321.study.simulate import simulate_study
 from tests.study.conftest import make_settings
 
 if TYPE_CHECKING:

@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.check import build_study, check_study
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.minutes import (
     SIMULATED,
@@ -20,9 +21,8 @@ from feel321.study.minutes import (
 )
 from feel321.study.session.journal import utc_now
 from feel321.study.session.plan import Plan, read_dossier
-from feel321.study.simulation import simulate_study
+from feel321.study.simulate import simulate_study
 from feel321.study.status import read_status
-from feel321.study.workflow import build_study, check_study
 
 TOLERANCE, TOGETHER = 0.1, 0.05
 """Share by which sessions of simulated participants may differ, one and all together: they draw their response times

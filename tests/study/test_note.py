@@ -10,15 +10,18 @@ from typing import Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import lab
 from feel321.study.auditing.study import audit_study
 from feel321.study.checkpoints import take_marks
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.lab import run_participant
-from feel321.study.people import write_roster
-from feel321.study.persons.withdrawal import release_participant, take_note, withdraw_participant
+from feel321.study.participants.roster import write_roster
+from feel321.study.participants.withdrawal import (
+    release_participant,
+    take_note,
+    withdraw_participant,
+)
 from feel321.study.ratings import write_ratings
+from feel321.study.run import run_participant
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
 from feel321.study.sessions import read_room
@@ -38,14 +41,14 @@ def study(smallest: StudyFolder) -> StudyFolder:
 def run(study: StudyFolder, scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Run:
     """Run p01's session so many hours after the first one, with somebody in the place of screen and actuators."""
     monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(lab, "find_spec", lambda _: "there")
+    monkeypatch.setattr("feel321.study.run.find_spec", lambda _: "there")
 
     def visit(hours: float = 0, **script: Any) -> Any:
         @contextmanager
         def open_presenter(_plan: Any, journal: Any, *_: object, **__: object) -> Iterator[Any]:
             yield scripted(**script, time_s=journal.records.find_elapsed())
 
-        monkeypatch.setattr(lab, "open_lab", open_presenter)
+        monkeypatch.setattr("feel321.study.run.open_lab", open_presenter)
         now = START + timedelta(hours=hours)
         return run_participant(read_room(study, now=lambda: now), "p01")
 

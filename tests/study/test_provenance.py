@@ -10,8 +10,8 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.auditing.study import audit_study
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study, check_study
+from feel321.study.check import build_study, check_study
+from feel321.study.simulate import simulate_study
 
 if TYPE_CHECKING:
     from feel321.study.folder import StudyFolder

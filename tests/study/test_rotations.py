@@ -14,9 +14,9 @@ from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study import analyze as metrics
 from feel321.study.analyze import compute_rotations, measure_declared, measure_rotations
+from feel321.study.check import build_study, check_study
 from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import read_settings
-from feel321.study.workflow import build_study, check_study
 
 REDUCERS = ("saz321", "pca321", "dft321_windowed")
 STUDY = f"""

@@ -12,21 +12,20 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study import lab
 from feel321.study.actuator.device import Device
 from feel321.study.actuator.rig import digest, read_rig
 from feel321.study.auditing.study import audit_study, examine
+from feel321.study.check import check_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.lab import run_participant
-from feel321.study.people import write_roster
+from feel321.study.participants.roster import write_roster
+from feel321.study.run import run_participant, start_clock
 from feel321.study.screen import window
 from feel321.study.session.events import RigAccepted
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
 from feel321.study.sessions import read_room
 from feel321.study.status import read_status
-from feel321.study.workflow import check_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -39,7 +38,7 @@ TOTAL = 2
 def ready(smallest: StudyFolder, monkeypatch: pytest.MonkeyPatch) -> StudyFolder:
     """A study that is built, on a machine that has all that is needed."""
     monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(lab, "find_spec", lambda _: "there")
+    monkeypatch.setattr("feel321.study.run.find_spec", lambda _: "there")
     return smallest
 
 
@@ -56,7 +55,7 @@ def present(scripted: Any, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any
             yield presenter
             presenter.log.append("closed")
 
-        monkeypatch.setattr(lab, "open_lab", open_presenter)
+        monkeypatch.setattr("feel321.study.run.open_lab", open_presenter)
         return presenter
 
     return take_place
@@ -300,7 +299,9 @@ def test_what_was_mended_is_told(ready: StudyFolder, present: Callable[..., Any]
 def test_a_machine_without_the_extra_is_told_what_to_install(
     ready: StudyFolder, monkeypatch: pytest.MonkeyPatch, missing: set[str], device: str, words: str
 ) -> None:
-    monkeypatch.setattr(lab, "find_spec", lambda name: None if name in missing else "there")
+    monkeypatch.setattr(
+        "feel321.study.run.find_spec", lambda name: None if name in missing else "there"
+    )
     with pytest.raises(
         OSError, match=rf"run: {words}, .*: pip install -c constraints.txt '.\[rig\]'"
     ):
@@ -352,8 +353,8 @@ def test_new_keeps_a_rig_that_is_there(tmp_path: Path) -> None:
 
 def test_the_clock_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     times = iter([100.0, 100.5])
-    monkeypatch.setattr(lab, "perf_counter", lambda: next(times))
-    assert lab.start_clock(40.0)() == 40.5
+    monkeypatch.setattr("feel321.study.run.perf_counter", lambda: next(times))
+    assert start_clock(40.0)() == 40.5
 
 
 def test_a_person_who_has_not_begun_is_not_taken_over_by_a_simulated_one(

@@ -12,14 +12,14 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.auditing.study import audit_study
+from feel321.study.check import build_study, find_warnings
 from feel321.study.folder import StudyFolder
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import create_journal
 from feel321.study.settings.read import read_settings
-from feel321.study.simulation import SIDE_BY_SIDE, list_participants, simulate_study
+from feel321.study.simulate import SIDE_BY_SIDE, list_participants, simulate_study
 from feel321.study.status import read_status
-from feel321.study.workflow import build_study, find_warnings
 
 
 def simulate(

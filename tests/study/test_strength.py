@@ -17,11 +17,11 @@ from feel321.stimuli.sets.render import Measured
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import write_wav
+from feel321.study.check import build_study, check_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.settings.read import read_settings
 from feel321.study.strength import describe_built, find_strength
-from feel321.study.workflow import build_study, check_study
 
 if TYPE_CHECKING:
     from pathlib import Path

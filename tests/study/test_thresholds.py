@@ -24,16 +24,17 @@ from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold, sensation_level_db
 from feel321.study.auditing.study import audit_study
+from feel321.study.check import build_study
 from feel321.study.folder import create_study
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
-from feel321.study.people import ROSTER_FILE
+from feel321.study.participants.roster import ROSTER_FILE
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import read_journal
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Design, Stale, create_plan, make_plan, require_plan
-from feel321.study.simulation import simulate_study
+from feel321.study.simulate import simulate_study
 from feel321.study.status import read_status
 from feel321.study.thresholds import (
     LOW_RATE_HZ,
@@ -42,7 +43,6 @@ from feel321.study.thresholds import (
     is_usable,
     read_thresholds,
 )
-from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -55,7 +55,6 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
         }
         effect = effects.pop(verdict["metric"])
         size, r = effect or blank, find_row(alone, "r", **within) or blank
-        predicts = verdict["verdict"] == PREDICTS
         cards.append({
             **verdict, "effect": read_ends(size), "r": read_ends(r),
             "ceiling": (find_row(alone, "ceiling", **within) or blank)["value"],
@@ -63,7 +62,7 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
             "unflagged": unflagged.get(tuple(place.values()), ""),
             "outcome": OPPOSITE if verdict["opposite"] else verdict["verdict"],
             # How ratings go with a metric alone; empty where its interval covers zero.
-            "turned": predicts and size["value"] * r["value"] < 0,
+            "turned": verdict["verdict"] == PREDICTS and size["value"] * r["value"] < 0,
             "alone": ("higher" if r["value"] > 0 else "lower") if r["low"] * r["high"] > 0 else "",
         })  # fmt: skip
     return cards

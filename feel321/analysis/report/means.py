@@ -169,9 +169,8 @@ def explore(part: Part, metrics: Sequence[str], choices: Choices) -> Iterator[St
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
 
 WAYS = {
-    PAIRED: ("least like the reference", "most like it"),
-    ANSWERED: ("told apart most", "least"),
-}
+    PAIRED: ("least like the reference", "most like it"), ANSWERED: ("told apart most", "least"),
+}  # fmt: skip
 
 
 def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
@@ -182,10 +181,8 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
         found.notes.append("Only pairs of two test stimuli were rated: no ratings per reducer.")
         return found
     ranks = {
-        "scale": list(single["scale"].unique()),
-        "role": ROLES,
-        REDUCER: order_reducers(profile[REDUCER]),
-    }
+        "scale": list(single["scale"].unique()), "role": ROLES, REDUCER: order_reducers(profile[REDUCER]),
+    }  # fmt: skip
     place = {name: {one: rank for rank, one in enumerate(order)} for name, order in ranks.items()}
     keys = ["scale", "level", "role", REDUCER]
     listed = profile.sort_values(

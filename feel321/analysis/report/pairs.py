@@ -277,8 +277,7 @@ def _relate(
     metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
     rng = choices.make_rng("space", level, "procrustes")
-    places = space.positions[known]
-    return align_spaces(places, scaled, permutations=choices.draws, rng=rng)
+    return align_spaces(space.positions[known], scaled, permutations=choices.draws, rng=rng)
 
 
 def _regress(

@@ -312,9 +312,8 @@ def _choose_metrics(
 
     def list_numeric() -> str:
         names = metrics_of.list_numeric(schema.read_cells(source))
-        return (
-            f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
-        )
+        listed = f"its numeric columns are {', '.join(names)}"
+        return listed if names else "it has no numeric column"
 
     if metrics is None or tuple(metrics) == schema.PLANNED:
         pairs = [(name, schema.STAND_INS.get(name, name)) for name in schema.PLANNED]

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from feel321.stimuli.guard import OwnReducer, OwnStream
+from feel321.stimuli.own_methods import OwnReducer, OwnStream
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import WHY_NOT_STREAMING, StreamingReducer
 from feel321.types import Reducer, Samples

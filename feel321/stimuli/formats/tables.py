@@ -267,9 +267,8 @@ def read_table(path: Path, request: ReadingOptions) -> Decoded:
         raise ValueError(f"there must be three axes x, y, z, got {n_columns} columns, no header")
     elif n_columns > AXES:
         how = "columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
-        raise ValueError(
-            f"{n_columns} columns without a header are ambiguous; say which, e.g. {how}"
-        )
+        do = f"say which, e.g. {how}"
+        raise ValueError(f"{n_columns} columns without a header are ambiguous; {do}")
     else:
         columns = Columns((0, 1, 2))
     if columns.time is None:

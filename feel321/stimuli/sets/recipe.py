@@ -348,9 +348,8 @@ class Recipe:
             except ValueError as error:
                 raise ValueError(f"recording {recording!r}: {error}") from None
             if not 0 < own.get("gain", 1.0) < float("inf"):
-                raise ValueError(
-                    f"gain of {recording} must be a finite number above 0, got {own['gain']}"
-                )
+                got = f"got {own['gain']}"
+                raise ValueError(f"gain of {recording} must be a finite number above 0, {got}")
         rules = {
             "rate_hz": (whole, f"a whole number of Hz from {low} to {high}"),
             "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
@@ -385,9 +384,8 @@ def check_names(names: Sequence[str]) -> None:
     for name in names:
         if not _NAME.fullmatch(name):
             must = "up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter or digit"
-            raise ValueError(
-                f"a recording's name must be {must}; got {name!r}, give it another name"
-            )
+            got = f"got {name!r}, give it another name"
+            raise ValueError(f"a recording's name must be {must}; {got}")
         # Some file systems do not distinguish capitals from small letters.
         if name.casefold() in seen:
             raise ValueError(f"recording name {name!r} is there twice; rename one of them")

@@ -27,8 +27,9 @@ from feel321.study.auditing.evidence import Evidence, weigh
 from feel321.study.auditing.replay import MALFORMED, audit_steps
 from feel321.study.folder import RATING_COLUMNS, Audit, list_delivered
 from feel321.study.freeze import describe_frozen, find_faults
-from feel321.study.numbers import Holder, find_doubles, read_holder
-from feel321.study.people import (
+from feel321.study.participants import answers
+from feel321.study.participants.numbers import Holder, find_doubles, read_holder
+from feel321.study.participants.roster import (
     ROSTER_FILE,
     Progress,
     describe_rigs,
@@ -36,8 +37,7 @@ from feel321.study.people import (
     list_roster,
     make_progress,
 )
-from feel321.study.persons import answers
-from feel321.study.persons.withdrawal import find_data_left, list_stale
+from feel321.study.participants.withdrawal import find_data_left, list_stale
 from feel321.study.ratings import (
     MATCH_COLUMNS,
     MATCHES_FILE,

@@ -28,7 +28,7 @@ from feel321.protocols.texts import PREFIX, Question
 from feel321.protocols.threshold import Detection, MatchingBlock, ThresholdBlock
 from feel321.protocols.trial import THRESHOLD, VALID, Flow, Item, Task, Trial, Trials
 from feel321.stimuli.sets.manifest import find_methods
-from feel321.study.admission import require_protocols
+from feel321.study.own_protocols import require_protocols
 from feel321.study.session import events
 from feel321.study.session import journal as journals
 from feel321.study.session.journal import Chain, Record, Records

@@ -21,13 +21,13 @@ from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import read_texts
 from feel321.protocols.threshold import MatchingBlock
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
-from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import render
 from feel321.stimuli.sets.manifest import read_details
 from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_names, describe_recipe
-from feel321.study import admission
+from feel321.study import own_protocols
 from feel321.study.folder import SETTINGS_FILE, TEMPLATES, StudyFolder
 from feel321.study.session.journal import digest
 from feel321.study.session.opening import identify_frozen
@@ -63,7 +63,7 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
             raise ValueError(f"{path.name}: recordings[{number}].files {error}") from None
     try:
         check_names([entry.title for entry in entries])
-        names = admission.admit_protocols(settings.session.protocols, home)
+        names = own_protocols.admit_protocols(settings.session.protocols, home)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{path.name}: {error}") from None
     # A build measures the metrics that only the analysis names, which knows all by their short names.
@@ -261,7 +261,7 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
     if mute := list(_find_mute_scales(settings, texts["scales"])):
         raise ValueError("\n".join(f"study.toml: {line}" for line in mute))
     texts["scales"] |= {name: table.to_texts() for name, table in settings.scales.items()}
-    admission.add_texts(texts, settings.session.protocols)
+    own_protocols.add_texts(texts, settings.session.protocols)
     if consent := settings.session.consent:
         texts["pages"][CONSENT]["text"] = consent
     return texts

@@ -31,8 +31,8 @@ from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
 from feel321.stimuli.synthesis import SCENES
 from feel321.stimuli.thresholds import THRESHOLDS
-from feel321.study.admission import OURS, name_protocols
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
+from feel321.study.own_protocols import OURS, name_protocols
 from feel321.study.session.plan import Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.about import ObserverTable, PaperTable, PublicationTable

@@ -424,7 +424,7 @@ def test_gain_and_band_that_are_proposed_flatten_ordinary_coils(
 def test_what_is_proposed_and_what_it_costs_is_said_before_it_is_written(
     rig: Rig, certificate: Certificate, smallest: Any, capsys: Any
 ) -> None:
-    from feel321.study.calibrating import agree
+    from feel321.study.actuator.verbs import agree
 
     assert agree(smallest, rig, certificate)
     left, _, strongest, weakest = capsys.readouterr().err.splitlines()

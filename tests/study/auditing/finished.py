@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import lab
 from feel321.study.actuator.certificate import make_manual, write_certificate
 from feel321.study.actuator.rig import read_rig
 from feel321.study.analyze import analyze_study
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.lab import run_participant
-from feel321.study.people import write_roster
+from feel321.study.participants.roster import write_roster
 from feel321.study.ratings import write_ratings
+from feel321.study.run import run_participant
 from feel321.study.sessions import read_room
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study
+from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY, make_settings
 
 if TYPE_CHECKING:
@@ -115,8 +114,8 @@ def make_real(path: Path, scripted: Any) -> StudyFolder:
     write_certificate(made, study.path)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DISPLAY", ":99")
-        patch.setattr(lab, "find_spec", lambda _: "there")
-        patch.setattr(lab, "open_lab", _seat(scripted))
+        patch.setattr("feel321.study.run.find_spec", lambda _: "there")
+        patch.setattr("feel321.study.run.open_lab", _seat(scripted))
         run_participant(read_room(study, now=now), "p01")
     write_ratings(study, read_stimuli(study.stimuli))
     write_roster(study)
@@ -126,7 +125,7 @@ def make_real(path: Path, scripted: Any) -> StudyFolder:
 def _seat(scripted: Any) -> Any:
     @contextmanager
     def open_presenter(plan: Any, *_: object, room: Any) -> Iterator[Any]:
-        from feel321.study.lab import _open_output
+        from feel321.study.run import _open_output
 
         with _open_output(plan, room=room, clock=perf_counter) as output:
             presenter = scripted()

@@ -18,6 +18,7 @@ import pytest
 
 from feel321.study import checkpoints
 from feel321.study.auditing.study import examine
+from feel321.study.check import build_study
 from feel321.study.checkpoints import (
     EVIDENCE,
     declaring,
@@ -28,10 +29,9 @@ from feel321.study.checkpoints import (
 )
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.journal import utc_now
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study
+from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY
 
 if TYPE_CHECKING:

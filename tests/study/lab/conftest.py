@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
-from feel321.study.workflow import build_study
 from tests.study.actuator.pulse import Pulse
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from feel321.analysis.mixed.model import fit_mixed
 from feel321.protocols.trial import SURFACE, Judgement, Part, Trial
 from feel321.stimuli.sets.manifest import StimulusSet
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
 from feel321.study.observer.model import (
     REAL,
@@ -25,8 +26,7 @@ from feel321.study.observer.model import (
     draw_rater,
 )
 from feel321.study.settings.read import read_settings
-from feel321.study.simulation import regress_planted, simulate_study
-from feel321.study.workflow import build_study
+from feel321.study.simulate import regress_planted, simulate_study
 from tests.study.conftest import make_settings
 
 if TYPE_CHECKING:

@@ -4,8 +4,8 @@ from pathlib import Path
 import pytest
 
 from feel321.study import power
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.workflow import build_study
 
 STUDY = """
 [study]

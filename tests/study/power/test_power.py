@@ -15,7 +15,7 @@ from feel321.study import cli, power
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.power import PowerTask, StudyPower
 from feel321.study.session.journal import Clock
-from feel321.study.simulation import simulate_study
+from feel321.study.simulate import simulate_study
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 GRID = ["--participants", "6,12", "--recordings", "4,8", "--reducers", "5", "--repeats", "1"]

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from feel321.study.check import build_study, check_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study, list_bundled, read_template
 from feel321.study.settings.read import read_settings
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study, check_study
+from feel321.study.simulate import simulate_study
 
 # What one participant judges: recordings x comparisons.
 JUDGEMENTS = {

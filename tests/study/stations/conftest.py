@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from feel321.study.check import build_study
 from feel321.study.folder import create_study
-from feel321.study.workflow import build_study
 from tests.study.conftest import make_settings
 
 if TYPE_CHECKING:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session import journal as journals
-from feel321.study.simulation import simulate_study
-from feel321.study.workflow import build_study
+from feel321.study.simulate import simulate_study
 
 if TYPE_CHECKING:
     from collections.abc import Callable

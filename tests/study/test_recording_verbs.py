@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
-from feel321.study.workflow import build_study
 
 FEEL321 = Path(sys.executable).with_name("feel321")
 STUDY = """

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from feel321.study.auditing.study import audit_study, examine
+from feel321.study.check import build_study
 from feel321.study.cli import main
-from feel321.study.persons.withdrawal import recording_output
+from feel321.study.participants.withdrawal import recording_output
 from feel321.study.session import engine
 from feel321.study.session.journal import utc_now
-from feel321.study.workflow import build_study
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

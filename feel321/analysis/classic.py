@@ -1,4 +1,4 @@
-"""What other studies print: ITU-T P.1401, correlations that share a variable, and those of repeated measures.
+"""Classic measures of the literature: ITU-T P.1401, correlations that share a variable, and those of repeated measures.
 
 Conventions: votes have shape (items, raters), NaN where a rater did not vote; an item is a stimulus, its mean
 vote the MOS; a metric has one value per item. All of these take items or rows for independent: stimuli of one
@@ -220,13 +220,11 @@ def _read_votes(votes: object, metric: object, order: int) -> tuple[Values, Valu
     table = read_array(votes, what="votes", axes=("items", "raters"), missing=True)
     x = read_array(metric, what="metric", axes=("items",))
     if order not in PARAMETERS or isinstance(order, bool | float):
-        raise ValueError(
-            f"order must be 3 (monotone cubic), 1 (line) or 0 (no mapping), got {order!r}"
-        )
+        got = f"got {order!r}"
+        raise ValueError(f"order must be 3 (monotone cubic), 1 (line) or 0 (no mapping), {got}")
     if len(table) != len(x):
-        raise ValueError(
-            f"metric must have one value per item, got {len(x)} values for {len(table)} items"
-        )
+        got = f"got {len(x)} values for {len(table)} items"
+        raise ValueError(f"metric must have one value per item, {got}")
     counts = np.isfinite(table).sum(axis=1)
     # One degree of freedom for the errors, one for Fisher's z; a spread needs two votes.
     fewest, poor = max(PARAMETERS[order], 3) + 1, np.flatnonzero(counts < 2)  # noqa: PLR2004
@@ -441,15 +439,13 @@ def repeated_measures_correlation(
     first, second = (read_array(one, what=name, axes=("n",)) for one, name in ((x, "x"), (y, "y")))
     names = np.asarray(participant).ravel()
     if not first.shape == second.shape == names.shape:
-        raise ValueError(
-            f"x, y and participant must have one length, got {len(first)}, {len(second)} and {names.size}"
-        )
+        got = f"got {len(first)}, {len(second)} and {names.size}"
+        raise ValueError(f"x, y and participant must have one length, {got}")
     number, people = read_groups(names, n=len(names), what="row", of="participant")
     df = len(first) - len(people) - 1
     if df < 1:
-        raise ValueError(
-            f"participant must have at least participants + 2 rows, got {len(first)} rows of {len(people)} participants"
-        )
+        got = f"got {len(first)} rows of {len(people)} participants"
+        raise ValueError(f"participant must have at least participants + 2 rows, {got}")
     rest, notes, r = [], list[str](), NAN
     for name, values in (("x", first), ("y", second)):
         rest.append(values - (np.bincount(number, values) / np.bincount(number))[number])

@@ -285,17 +285,17 @@ def tradeoff(  # noqa: PLR0913 - one per option
     *places : str or path
         A study, recordings, or both.
     scenes : bool
-        Also the bundled scenes.
+        Include the bundled scenes.
     thorough : bool
         Whole recordings, 72 mountings, hard scenes.
     online : bool
-        The reducer runs while the vibration is made.
+        Only reducers that run while the vibration is made.
     latency_ms : float, optional
-        Longest delay, with device. [default: 45]
+        Longest delay of reducer, block and device together. [default: 45]
     mounting : str
-        Mountings that advice is for.
+        Mountings of the sensor that the advice must hold for.
     tolerance_db : float, optional
-        Near enough to the best. [default: 1]
+        How far from the best still suffices, in dB of energy. [default: 1]
     out : str or path, optional
         Folder of the results.
     seed : int, optional
@@ -311,7 +311,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
     from feel321.analysis.tradeoff.page import advise_tradeoff
     from feel321.stimuli.reducers.registry import REDUCERS
     from feel321.study.analyze import find_ratings, gather_recordings
-    from feel321.study.persons.withdrawal import recording_output
+    from feel321.study.participants.withdrawal import recording_output
     from feel321.study.session.journal import utc_now
     from feel321.study.settings.read import list_for_tradeoff, read_settings
 

@@ -1,4 +1,4 @@
-"""Steps of a study before the sessions: check and build."""
+"""`check` and `build`: the steps of a study before its sessions."""
 
 import csv
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,4 @@
-"""Sessions in the lab: a participant, a screen, and actuators.
+"""`run`: a session in the lab, with a participant, a screen and actuators.
 
 Device and window are opened only once the journal has its header. What can be known to be missing or wrong before
 that is refused before the participant gets a number.
@@ -33,7 +33,7 @@ from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
 from feel321.study.observer.model import Casting, find_person, make_model
 from feel321.study.observer.simulated import Participant
-from feel321.study.people import make_progress
+from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place
 from feel321.study.sessions import Room, lead_session, list_rig_problems, plan_sessions
