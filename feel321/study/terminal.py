@@ -29,7 +29,7 @@ def echo(text: object = "", *, err: bool = False, over: bool = False) -> None:
 
     over: the next one is printed over it. A terminal that was closed is no error where only a person would read it.
     """
-    line = clean_text(str(text), keep="\n\t")
+    line = clean_text(str(text), keep="\n\t\N{NO-BREAK SPACE}")
     if not err:
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
