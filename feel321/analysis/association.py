@@ -20,7 +20,6 @@ from feel321.analysis.agreement import SMALLEST, find_ceiling
 from feel321.analysis.arrays import PERFECT, Values, check_draws
 from feel321.analysis.contrasts.compare import stimulus_means
 from feel321.analysis.table.items import Items, Table, choose_arms, make_items
-from feel321.analysis.table.schema import PAIR
 from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
 
@@ -307,13 +306,6 @@ class Panel:
     associations: tuple[Statistic, ...]
     differences: tuple[Statistic, ...]
     stimuli: DataFrame
-
-
-def refuse_untested(table: Table) -> None:
-    """Refuse ratings of references and anchors alone."""
-    if not table.rows["role"].isin(["test", PAIR]).any():
-        got = "got none of such"
-        raise ValueError(f"ratings must be of one stimulus or more with role 'test', {got}")
 
 
 def make_panel(

@@ -245,9 +245,8 @@ def _run(method: Method, files: Mapping[str, str]) -> str:
             words, cwd=method.folder, capture_output=True, timeout=limit_s, check=False, stdin=subprocess.DEVNULL
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        raise ValueError(
-            f"{method}: the command took longer than {limit_s:g} s and was stopped; set timeout_s in its table"
-        ) from None
+        what = f"the command took longer than {limit_s:g} s and was stopped"
+        raise ValueError(f"{method}: {what}; set timeout_s in its table") from None
     except OSError as error:
         do = "check its name, and whether it may be run"
         raise ValueError(f"{method}: {words[0]}: {error.strerror}; {do}") from None

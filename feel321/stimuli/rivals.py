@@ -63,7 +63,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.doors import Registry, check_finite, coerce_real
+from feel321.doors import Registry
 from feel321.names import MOST_DB
 from feel321.stimuli import recording
 from feel321.stimuli.match import (
@@ -130,25 +130,8 @@ def make_pair(
 ) -> Pair:
     """Check one recording and one reduced signal."""
     given, rate = recording.as_pair(acceleration, reduced, rate_hz)
-    samples = np.asarray(given)
-    if samples.ndim:
-        reduced = recording.check_reduced(reduced, samples.shape)
-    return make_pairs(given, reduced, rate)
-
-
-def make_pairs(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> Pair:
-    """Check recordings (..., 3, n) and as many reduced signals (..., n)."""
-    samples, _ = recording.admit(acceleration, rate_hz)
-    signal = coerce_real(reduced, "reduced")
-    if signal.shape != (*samples.shape[:-2], samples.shape[-1]) or not samples.shape[-1]:
-        raise ValueError(
-            f"reduced must have the shape (..., n) of acceleration (..., 3, n), n >= 1; got {signal.shape} for "
-            f"{samples.shape}"
-        )
-    check_finite(signal, "reduced")
-    if recording.largest(signal) > recording.SAFE_PEAK[1]:
-        raise ValueError("reduced is more than 1e60; is it in m/s^2?")
-    return Pair(samples, signal, float(rate_hz))
+    samples, _ = recording.admit(given, rate)
+    return Pair(samples, recording.check_reduced(reduced, samples.shape), float(rate))
 
 
 def follow_energy(pair: Pair, weights: Samples | float = 1.0) -> tuple[Samples, Samples, float]:

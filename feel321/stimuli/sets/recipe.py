@@ -82,9 +82,7 @@ def read_given(given: Recording | Unread) -> Recording:
 
 
 EASILY_FELT = 2.0  # thresholds of acceleration up to this multiple of the lowest: up to 250 Hz
-ENVELOPE_HZ = (
-    50.0  # envelopes are followed so far: energy in shorter segments is hard to tell apart
-)
+ENVELOPE_HZ = 50.0  # envelopes are followed so far: energy in less time is hard to tell apart
 FAINT = 0.1  # of the energy in the quietest band of all: it may hardly be felt, and cost headroom
 PRECEDENCE = 1000  # a band with 1 % more energy than the quietest gets exp(-10) of its share
 LOWEST_SHARE = 1e-30  # bands with less of the energy are left out: 300 dB below the hum
@@ -180,8 +178,7 @@ def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold
     from scipy.optimize import brentq
 
     def measure(samples: Samples) -> tuple[float, float]:
-        levels = loudest_levels(samples, recording.rate_hz, [threshold])
-        return largest(samples), levels[threshold]
+        return largest(samples), loudest_levels(samples, recording.rate_hz, [threshold])[threshold]
 
     def flatten(much: float) -> Samples:
         return np.asarray(envelope / np.sqrt(1 + much * envelope**2))
