@@ -24,9 +24,7 @@ RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
 PULSE_S = 0.02
 PULSE_HZ = 250.0  # where skin is most sensitive
 PULSE_LEVEL = 0.1  # of full scale or of the peak that the rig allows, whichever is less
-LIKENESS = (
-    0.5  # of a sensed pulse with what was sent: white noise reached 0.33, pulses through coils 0.8
-)
+LIKENESS = 0.5  # of a sensed pulse with what was sent: white noise reached 0.33, coils 0.8
 GAPS_S = (0.1, 0.113, 0.127, 0.139, 0.151)  # uneven, out of step with the device's blocks
 
 

@@ -28,12 +28,12 @@ ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
 BLOCK, BLOCK_TRACK, LEAST_PICTURE = 15.0, 4.0, 12.0
 MARGIN, VALUE = 2.5, 9.0
 
-HINTS = {
+HINTS = {  # the keys that have no button, by kind of screen
     "slider": ("move", "coarse_rows", "digits"),
     "rows": ("feel", "loop", "choose", "move", "coarse_rows"),
     "scales": ("move", "coarse_rows", "digits"),
     "choice": ("pick",),
-}  # the keys that have no button, by kind of screen
+}
 
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
