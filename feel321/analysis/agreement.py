@@ -254,17 +254,15 @@ def find_ceiling(items: Items, *, within: bool) -> tuple[float, list[str]]:
         return NAN, [f"No noise ceiling: {few}."]
     notes = []
     if not complete.all():
-        shared = (
-            f"the {complete.sum()} stimuli that every participant rated, r on all {items.n_items}"
-        )
-        notes.append(f"The noise ceiling rests on {shared}; r / ceiling is left out.")
+        shared = f"the {complete.sum()} stimuli that every participant rated"
+        rest = f"r on all {items.n_items}; r / ceiling is left out"
+        notes.append(f"The noise ceiling rests on {shared}, {rest}.")
     groups = items.recordings[complete] * within
     ceiling = noise_ceiling_within(items.ratings[:, complete].T, groups)
     if np.isnan(ceiling):
         where = " of the same recording" if within else ""
-        notes.append(
-            f"No noise ceiling: mean ratings do not differ between stimuli{where} beyond noise."
-        )
+        alike = f"mean ratings do not differ between stimuli{where} beyond noise"
+        notes.append(f"No noise ceiling: {alike}.")
     return ceiling, notes
 
 

@@ -201,9 +201,8 @@ def p1401(
     if abs(plcc) >= PERFECT:
         notes.append("The correlation is perfect to rounding and has no interval.")
     if order > 1 and n < FEW_ITEMS:
-        notes.append(
-            f"With {n} items, fewer than {FEW_ITEMS}, a cubic bends to noise: report order 1 first."
-        )
+        few = f"With {n} items, fewer than {FEW_ITEMS}"
+        notes.append(f"{few}, a cubic bends to noise: report order 1 first.")
     coefficients, in_x = np.zeros(max(order, 1) + 1), mapping.convert().coef
     coefficients[: len(in_x)] = in_x
     return Statistic(
@@ -366,9 +365,8 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
         q = (r1**2 + r2**2) / 2
         h = (1 - min(1.0, (1 - r12) / (2 * (1 - q))) * q) / (1 - q)
         meng = apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
-        (low1, high1), (low2, high2) = (
-            _find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)
-        )
+        own = [_find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)]
+        (low1, high1), (low2, high2) = own
         c = (r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3
         c /= (1 - r1**2) * (1 - r2**2)
         # max: rounding may push a vanishing sum of squares below 0
@@ -456,9 +454,8 @@ def repeated_measures_correlation(
         r = float(np.clip(one @ other / np.sqrt((one @ one) * (other @ other)), -1, 1))
     low, high = _find_fisher_interval(r, df - 1, norm.ppf(UPPER))
     if np.isnan(low):
-        notes.append(
-            "No interval: the correlation is perfect, or fewer than 2 degrees of freedom are left."
-        )
+        why = "the correlation is perfect, or fewer than 2 degrees of freedom are left"
+        notes.append(f"No interval: {why}.")
     p = 0.0 if abs(r) >= PERFECT else float(2 * t.sf(abs(r) * np.sqrt(df / (1 - r**2)), df))
     return Statistic(
         "RepeatedMeasures", r=r, df=df, p=p, low=low, high=high, n=len(first), n_participants=len(people),

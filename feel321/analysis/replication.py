@@ -356,9 +356,8 @@ def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> Clai
     own = {attribute: found[check_name(attribute, sorted(found), "attribute")]}
     (row,) = space.regress_points(places, own, draws=min(choices.draws, 1000), rng=rng)
     if row["p_least"] >= LIMIT:
-        raise ValueError(
-            f"permutations of {places.shape[1]} stimuli give no p below {row['p_least']:.2f} for {attribute}"
-        )
+        none = f"give no p below {row['p_least']:.2f} for {attribute}"
+        raise ValueError(f"permutations of {places.shape[1]} stimuli {none}")
     return ClaimValue(
         row["r2"] - row["chance"], row["r2"] - row["chance_high"], row["r2"] - row["chance_low"], "correlation",
         "of the variance above chance", row["n"],

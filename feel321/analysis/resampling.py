@@ -289,9 +289,8 @@ def draw_methods(
         scenes = draw_counts(items.n_sources, size, rng=rng)[:, items.of_source]
         for method, found in blocks.items():
             counts = (scenes, np.ones_like(scenes))
-            found.append(
-                fisher_z(np.stack(averages.correlate(items, METHODS[method], counts=counts)))
-            )
+            drawn = averages.correlate(items, METHODS[method], counts=counts)
+            found.append(fisher_z(np.stack(drawn)))
     for method, found in blocks.items():
         how, each = METHODS[method], np.empty((len(items.metrics), 0))
         (point,) = whole.correlate(items, how, counts=(every,))

@@ -98,9 +98,8 @@ def _draw_ellipses(
     votes = np.einsum("dp,pij->dij", weights, seen)
     sums = np.einsum("dp,pij->dij", weights, np.where(seen, stack, 0))
     means = np.divide(sums, votes, out=np.broadcast_to(group, sums.shape).copy(), where=votes > 0)
-    placed = [
-        _align(_scale(check_dissimilarities(mean), places, ROUGH)[0], places) for mean in means
-    ]
+    scaled = (_scale(check_dissimilarities(mean), places, ROUGH)[0] for mean in means)
+    placed = [_align(one, places) for one in scaled]
     moved = np.stack(placed) - np.mean(placed, axis=0)
     covariance = np.einsum("dni,dnj->nij", moved, moved) / (draws - 1)
     values, vectors = np.linalg.eigh(covariance)
@@ -179,9 +178,8 @@ def _scale(target: Values, start: Values, steps: tuple[int, float]) -> tuple[Val
     )  # fmt: skip
     pairs = np.triu_indices(len(target), 1)
     distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(axis=-1))[pairs]
-    return positions, float(
-        np.sqrt(((target[pairs] - distances) ** 2).sum() / (distances**2).sum())
-    )
+    stress = np.sqrt(((target[pairs] - distances) ** 2).sum() / (distances**2).sum())
+    return positions, float(stress)
 
 
 def align_spaces(

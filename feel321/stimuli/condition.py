@@ -52,9 +52,8 @@ class Conditioning:
         for name in ("high_pass_hz", "low_pass_hz"):
             corner = getattr(self, name)
             if corner is not None and not 0 < corner < np.inf:
-                raise ValueError(
-                    f"{name} must be a frequency above 0 Hz, or nothing for no filter; got {corner}"
-                )
+                must = f"{name} must be a frequency above 0 Hz, or nothing for no filter"
+                raise ValueError(f"{must}; got {corner}")
         if self.high_pass_hz and self.low_pass_hz and self.high_pass_hz >= self.low_pass_hz:
             got = f"got {self.high_pass_hz}"
             raise ValueError(f"high_pass_hz must be below low_pass_hz, {self.low_pass_hz}; {got}")

@@ -160,9 +160,8 @@ class OriginalSpectrum:
                 "the recording has no energy from 20 to 1000 Hz: it is silent there, or its offset, a million times "
                 "larger, must be removed first"
             )
-        return (
-            "the recording is too short, or its rate too low, for any frequency from 20 to 1000 Hz"
-        )
+        short = "the recording is too short, or its rate too low"
+        return f"{short}, for any frequency from 20 to 1000 Hz"
 
     def describe(self, reduced: Samples) -> SpectralMatch:
         """Match one reduced signal, frequency by frequency."""

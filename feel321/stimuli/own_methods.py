@@ -78,9 +78,8 @@ class OwnReducer:
         make = self.method.find_fact("stream") if self.method.is_python else None
         if make is None:
             return None
-        return OwnStream(
-            self.method, call(self.method, make, float(rate_hz), doing="opening its stream")
-        )
+        stream = call(self.method, make, float(rate_hz), doing="opening its stream")
+        return OwnStream(self.method, stream)
 
     def find_latency(self, rate_hz: float) -> float | None:
         """Find how many s after its sample a result can be there: measured in samples, or declared; else None."""
@@ -154,10 +153,8 @@ class OwnMetric:
         if self.method.origin == "command":
             value: object = _run_program(self.method, samples, rate_hz, reduced=signal)
         else:
-            function = self.method.load()
-            value = _call_on_copies(
-                self.method, function, [samples, signal], float(rate_hz), doing=where
-            )
+            both, function = [samples, signal], self.method.load()
+            value = _call_on_copies(self.method, function, both, float(rate_hz), doing=where)
         known = isinstance(value, int | float | np.ndarray | np.generic)
         got = np.asarray(value if known else None)
         if got.size != 1 or got.dtype.kind not in "iuf":
@@ -248,9 +245,8 @@ def _run(method: Method, files: Mapping[str, str]) -> str:
             words, cwd=method.folder, capture_output=True, timeout=limit_s, check=False, stdin=subprocess.DEVNULL
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        raise ValueError(
-            f"{method}: the command took longer than {limit_s:g} s and was stopped; set timeout_s in its table"
-        ) from None
+        what = f"the command took longer than {limit_s:g} s and was stopped"
+        raise ValueError(f"{method}: {what}; set timeout_s in its table") from None
     except OSError as error:
         do = "check its name, and whether it may be run"
         raise ValueError(f"{method}: {words[0]}: {error.strerror}; {do}") from None

@@ -84,9 +84,8 @@ class Recording(Result):
         """Check and convert once, when the recording is made."""
         given = coerce_acceleration(self.acceleration)
         if given.ndim != 2 or given.shape[1] == 0:  # noqa: PLR2004 - axes x samples
-            raise ValueError(
-                f"recording {self.name!r} must have the shape (3, n) with n >= 1, got {given.shape}"
-            )
+            must = f"recording {self.name!r} must have the shape (3, n) with n >= 1"
+            raise ValueError(f"{must}, got {given.shape}")
         size = UNITS[check_name(self.unit, UNITS, "unit")]
         with np.errstate(over="ignore", invalid="ignore"):
             samples = np.multiply(given, size, order="C")
@@ -142,9 +141,8 @@ class Recording(Result):
             )
         start, end = (round(time * self.rate_hz) for time in (start_s, end_s))
         if end <= start:
-            raise ValueError(
-                f"crop_s ({start_s}, {end_s}) holds no sample at {self.rate_hz:g} Hz; keep a longer part"
-            )
+            got = f"crop_s ({start_s}, {end_s}) holds no sample at {self.rate_hz:g} Hz"
+            raise ValueError(f"{got}; keep a longer part")
         return replace(self, acceleration=self.acceleration[:, start:end])
 
     def to_frame(self) -> DataFrame:
@@ -242,9 +240,8 @@ def as_signal(
             raise TypeError("rate_hz must be given with plain samples; or pass a Recording")
         return signal, rate
     if given_hz not in {None, signal.rate_hz}:
-        raise ValueError(
-            f"rate_hz must be left out or {signal.rate_hz:g}, that of the signal; got {given_hz:g}"
-        )
+        must = f"rate_hz must be left out or {signal.rate_hz:g}, that of the signal"
+        raise ValueError(f"{must}; got {given_hz:g}")
     samples = signal.acceleration if isinstance(signal, Recording) else signal.samples
     return samples, signal.rate_hz
 
@@ -261,12 +258,9 @@ def as_samples(signal: Signal, rate_hz: float | None) -> tuple[Samples, float]:
 
 
 def as_pair(
-    acceleration: Signal,
-    reduced: ArrayLike | None,
-    rate_hz: float | None,
-    *,
-    otherwise: float | None = None,
-) -> tuple[ArrayLike, float]:
+    acceleration: Signal, reduced: ArrayLike | None, rate_hz: float | None,
+    *, otherwise: float | None = None,
+) -> tuple[ArrayLike, float]:  # fmt: skip
     """Take a recording's samples and rate, which must be that of the reduced signal if this brings one."""
     own = reduced.rate_hz if isinstance(reduced, Reduced) else None
     given, rate = as_signal(acceleration, rate_hz, otherwise=own or otherwise)
@@ -364,9 +358,8 @@ def largest(samples: Samples) -> float:
 def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> Samples:
     """Coerce a reduced signal to float64, or say why it does not fit a recording of the given shape, (3, n)."""
     if len(shape) != 2 or shape[-1] == 0:  # noqa: PLR2004 - axes x samples
-        raise ValueError(
-            f"acceleration must have the shape (3, n) with n >= 1, one recording at a time; got {shape}"
-        )
+        must = "acceleration must have the shape (3, n) with n >= 1, one recording at a time"
+        raise ValueError(f"{must}; got {shape}")
     signal = coerce_real(reduced, "reduced")
     if signal.shape != shape[-1:]:
         raise ValueError(

@@ -192,9 +192,8 @@ def match_rotations(
     """
     samples, _ = admit(acceleration, rate_hz)
     if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
-        raise ValueError(
-            f"acceleration must have the shape (3, n), n >= 1, one recording at a time; got {samples.shape}"
-        )
+        must = "acceleration must have the shape (3, n), n >= 1, one recording at a time"
+        raise ValueError(f"{must}; got {samples.shape}")
     reduce = [REDUCERS.find(one) for one in reducers]
     original = OriginalSpectrum(samples, rate_hz)
     found = np.empty((len(reduce), 3, len(turns)))

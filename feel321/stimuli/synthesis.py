@@ -137,9 +137,8 @@ def hard_taps(time_s: Samples, rng: np.random.Generator) -> Samples:
 def constrained_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
     """Drag in a guide that lets the tool move along one line only."""
     # Micro-contacts fill the band above the grain's own frequencies, as in the free drag.
-    along = _roughness(time_s, _strokes(time_s, rng), rng) + 0.3 * _coloured(
-        time_s, rng, low_hz=30.0, high_hz=1500.0
-    )
+    along = _roughness(time_s, _strokes(time_s, rng), rng)
+    along = along + 0.3 * _coloured(time_s, rng, low_hz=30.0, high_hz=1500.0)
     across = np.array([_roughness(time_s, _strokes(time_s, rng), rng) for _ in range(3)])
     line = np.array([0.5, 0.7, 0.51])
     return (

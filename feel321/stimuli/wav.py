@@ -131,12 +131,9 @@ def read_wav(path: PathLike) -> tuple[Samples, int]:
             rate, frames = wavfile.read(source)
         except OSError:
             raise
-        except (
-            Exception
-        ) as error:  # at damaged chunks scipy raises anything, even UnboundLocalError
-            raise ValueError(
-                f"{source.name}: has chunks that cannot be read ({error}); save it again as PCM or float"
-            ) from error
+        except Exception as error:  # at damaged chunks scipy raises anything: UnboundLocalError
+            why = f"has chunks that cannot be read ({error})"
+            raise ValueError(f"{source.name}: {why}; save it again as PCM or float") from error
     fractions = frames.astype(np.float64)
     if frames.dtype.kind != "f":
         full_scale = np.iinfo(frames.dtype).max + 1
@@ -152,9 +149,8 @@ def read_wav_header(path: Path) -> WavHeader:
             header = _scan_chunks(file, path.stat().st_size)
         except struct.error:
             raise ValueError("the file ends inside its header; copy or export it again") from None
-        promised, present = (
-            n // header.frame_bytes for n in (header.data_bytes, header.present_bytes)
-        )
+        both = header.data_bytes, header.present_bytes
+        promised, present = (n // header.frame_bytes for n in both)
         if promised == 0:
             raise ValueError("the WAV file holds no samples; record or export it again")
         if header.present_bytes < header.data_bytes:

@@ -84,12 +84,9 @@ class Fitted(NamedTuple):
 
 
 def _fit(
-    make: Callable[[], Cells],
-    metrics: Sequence[str],
-    *,
-    correlated: bool = False,
-    reducers: bool = True,
-) -> Fitted:
+    make: Callable[[], Cells], metrics: Sequence[str],
+    *, correlated: bool = False, reducers: bool = True,
+) -> Fitted:  # fmt: skip
     """Fit the slopes; NaN and the reason where the rows carry no model."""
     try:
         found = fit_slopes(make(), correlated=correlated, reducers=reducers)

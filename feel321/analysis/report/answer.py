@@ -150,9 +150,8 @@ def name_scales(own: Sequence[Row], every: Sequence[Row]) -> str:
 
 def list_subjects(subjects: Sequence[str]) -> str:
     """List scales within a sentence, in lower case but for abbreviations."""
-    return join_words([
-        name[:1].lower() + name[1:] if name[1:2].islower() else name for name in subjects
-    ])
+    lowered = (name[:1].lower() + name[1:] if name[1:2].islower() else name for name in subjects)
+    return join_words(list(lowered))
 
 
 def _list_exceptions(cards: Sequence[Row], rows: Sequence[Row]) -> Iterator[Row]:
@@ -247,9 +246,8 @@ def _list_surprises(paper: Paper, odd: Sequence[Row]) -> Iterator[Row]:
             named.setdefault(str(claim.options.get("reducer")), set()).add(WAYS[claim.expect])
     rows = list_exceptional(odd)
     for reducer in dict.fromkeys(row["reducer"] for row in rows):
-        own = sorted(
-            (row for row in rows if row["reducer"] == reducer), key=lambda row: abs(row["value"])
-        )
+        own = [row for row in rows if row["reducer"] == reducer]
+        own.sort(key=lambda row: abs(row["value"]))
         ways = sorted({"higher" if row["value"] > 0 else "lower" for row in own})
         yield {
             "reducer": reducer, "ways": ways, "points": [abs(own[0]["value"]), abs(own[-1]["value"])], "metrics": [],

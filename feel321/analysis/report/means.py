@@ -180,9 +180,8 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
     if profile.empty:
         found.notes.append("Only pairs of two test stimuli were rated: no ratings per reducer.")
         return found
-    ranks = {
-        "scale": list(single["scale"].unique()), "role": ROLES, REDUCER: order_reducers(profile[REDUCER]),
-    }  # fmt: skip
+    ranks = {"role": ROLES, REDUCER: order_reducers(profile[REDUCER])}
+    ranks["scale"] = tuple(single["scale"].unique())
     place = {name: {one: rank for rank, one in enumerate(order)} for name, order in ranks.items()}
     keys = ["scale", "level", "role", REDUCER]
     listed = profile.sort_values(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pandas import DataFrame
@@ -58,9 +59,8 @@ class Analysis(NamedTuple):
 def per_step(slopes: DataFrame, steps: Mapping[str, Step]) -> DataFrame:
     """Add to slopes per 0.1 of metrics, with their ends, the same per step, and the step."""
     size = slopes["metric"].map({name: step.size for name, step in steps.items()})
-    value, low, high = (
-        slopes[name] * size / TENTH for name in ("tenth", "tenth_low", "tenth_high")
-    )
+    names = "tenth", "tenth_low", "tenth_high"
+    value, low, high = (slopes[name] * size / TENTH for name in names)
     per = slopes["metric"].map({name: step.per for name, step in steps.items()})
     return slopes.assign(value=value, low=low, high=high, size=size, per=per)
 
@@ -88,9 +88,8 @@ def compute(table: Table, choices: Choices) -> Found:
         verdicts = keep_steady([conclude_slope(analysis, row) for row in rows])
         found.verdicts += verdicts
         _add_rows(found, analysis, rows)
-        findings = [
-            one | _describe_slope(analysis, row) for one, row in zip(verdicts, rows, strict=True)
-        ]
+        more = [_describe_slope(analysis, row) for row in rows]
+        findings = [one | two for one, two in zip(verdicts, more, strict=True)]
         told.append(_describe_part(analysis, findings))
     for loss in losses:
         keys = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
@@ -342,12 +341,7 @@ def find_turned(rows: Sequence[Row]) -> list[Row]:
         return int(row["low"] > 0) - int(row["high"] < 0)
 
     own = [row for row in rows if row["quantity"] == "standardised"]
-    keys = ("scale", "level", "metric")
-    primary = {
-        tuple(row[key] for key in keys): sign(row) for row in own if row["variant"] == "primary"
-    }
-    return [
-        row
-        for row in own
-        if math.isfinite(row["low"]) and sign(row) != primary[tuple(row[key] for key in keys)]
-    ]
+    place = itemgetter("scale", "level", "metric")
+    primary = {place(row): sign(row) for row in own if row["variant"] == "primary"}
+    known = (row for row in own if math.isfinite(row["low"]))
+    return [row for row in known if sign(row) != primary[place(row)]]

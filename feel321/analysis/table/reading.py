@@ -304,13 +304,9 @@ def _add_sources(sheet: DataFrame, what: str, sources: Mapping[str, str]) -> Non
 
 
 def _choose_metrics(
-    sheet: DataFrame,
-    metrics: Sequence[str] | None,
-    source: Path | DataFrame,
-    *,
-    what: str,
-    more: set[str],
-) -> tuple[str, ...]:
+    sheet: DataFrame, metrics: Sequence[str] | None, source: Path | DataFrame,
+    *, what: str, more: set[str],
+) -> tuple[str, ...]:  # fmt: skip
     """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
 
     def list_numeric() -> str:
@@ -524,10 +520,8 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
         yield f"{start}: they are not independent, and the results do not extend to other sources."
     elif sources < recordings:
         what = "they are not independent, and what is said of others rests on sources"
-        draws = (
-            "Two-way intervals draw them; mixed models hold what the recordings of a source share"
-        )
-        yield f"{start}: {what}. {draws}, as a whole and reducer by reducer."
+        held = "mixed models hold what the recordings of a source share"
+        yield f"{start}: {what}. Two-way intervals draw them; {held}, as a whole and reducer by reducer."
 
 
 def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> Iterator[str]:

@@ -113,9 +113,8 @@ def find_needs(candidate: Candidate, *, n_samples: int, rate_hz: float) -> dict[
     if candidate.base not in _WORK:  # a plain function: nothing is declared
         unknown = dict.fromkeys(("operations", "state", "latency_ms"), inf)
         return {"parameters": 0, **unknown}
-    state, operations = _WORK[candidate.base](
-        n_samples, window_samples(candidate.window_s, rate_hz)
-    )
+    window = window_samples(candidate.window_s, rate_hz)
+    state, operations = _WORK[candidate.base](n_samples, window)
     latency_ms = inf
     if candidate.base not in WHY_NOT_STREAMING:
         stream = StreamingReducer(candidate.base, rate_hz, candidate.window_s)

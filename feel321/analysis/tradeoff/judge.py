@@ -154,9 +154,8 @@ def _judge_one(part: DataFrame, context: Context) -> DataFrame:
     """Judge all reducers on one recording."""
     import pandas as pd
 
-    worst = part.pivot_table(
-        index="reducer", columns=["condition", "measure"], values=["low", "high"], sort=False
-    )
+    columns, values = ["condition", "measure"], ["low", "high"]
+    worst = part.pivot_table(index="reducer", columns=columns, values=values, sort=False)
 
     def read(condition: str, measure: str, end: str = "high") -> Series:
         key = (end, condition, measure)

@@ -194,11 +194,8 @@ def _check_found(found: Mapping[str, list[int]], labels: Sequence[str]) -> tuple
 
 def pick_columns(
     wanted: Sequence[str | int],
-    *,
-    labels: Sequence[str] | None,
-    n_columns: int,
-    whole: bool = False,
-) -> Columns:
+    *, labels: Sequence[str] | None, n_columns: int, whole: bool = False,
+) -> Columns:  # fmt: skip
     """Take the columns that the caller names: (x, y, z) or (time, x, y, z), by label or by number from 0."""
     counts = {1, 2, AXES, AXES + 1} if whole else {AXES, AXES + 1}
     if isinstance(wanted, str) or not isinstance(wanted, Sequence) or len(wanted) not in counts:

@@ -82,12 +82,9 @@ def sqrt_hann(length: int) -> Samples:
 
 
 def reduce_in_frames(
-    processor_for: Callable[[tuple[int, ...], int], BlockProcessor],
-    acceleration: ArrayLike,
-    *,
-    rate_hz: float,
-    window_s: float,
-) -> Samples:
+    processor_for: Callable[[tuple[int, ...], int], BlockProcessor], acceleration: ArrayLike,
+    *, rate_hz: float, window_s: float,
+) -> Samples:  # fmt: skip
     """Check a recording and feed it through a block processor."""
     samples, _ = admit(acceleration, rate_hz)
     hop = window_samples(window_s, rate_hz) // 2
@@ -338,9 +335,8 @@ class MatchedFrames:
 
         del valid
         own = np.einsum("...imt,...jmt->...mij", blocks, blocks)
-        moments, self._moment = lfilter(
-            np.ones(1), np.array([1.0, -self._memory]), own, axis=-3, zi=self._moment
-        )
+        poles = [1.0, -self._memory]
+        moments, self._moment = lfilter([1.0], poles, own, axis=-3, zi=self._moment)
         first = self._axis
         axes = self._follow(moments, own)
         kept = np.einsum("...mi,...mij,...mj->...m", axes, moments, axes)

@@ -100,9 +100,8 @@ def reduce(
     samples = coerce_real(function(acceleration, rate), f"the output of {name_of(reducer)}")
     check_finite(samples, f"the output of {name_of(reducer)}")
     if samples.shape != acceleration.shape[-1:]:
-        raise ValueError(
-            f"reducer {name_of(reducer)} must return the shape {acceleration.shape[-1:]}, got {samples.shape}"
-        )
+        must = f"reducer {name_of(reducer)} must return the shape {acceleration.shape[-1:]}"
+        raise ValueError(f"{must}, got {samples.shape}")
     name = recording.name if isinstance(recording, Recording) else ""
     return Reduced(samples, rate, name_of(reducer), name)
 
