@@ -157,7 +157,8 @@ def read_own(study: StudyFolder) -> Own:
             config = repo.get_config()
             for section in (one for one in config.sections() if one[0] == b"remote"):
                 refs = repo.refs.subkeys(b"refs/remotes/" + section[1])  # type: ignore[arg-type]
-                own.pushed[config.get(section, b"url").decode()] = {ref.decode() for ref in refs}
+                there = own.pushed.setdefault(config.get(section, b"url").decode(), set())
+                there.update(ref.decode() for ref in refs)  # a URL may stand there twice
             tip = repo.refs.as_dict().get(b"HEAD")  # type: ignore[call-overload]
             return own._replace(history=_read_history(repo, tip))
     except Exception as error:  # noqa: BLE001 - what is damaged raises anything

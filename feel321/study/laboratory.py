@@ -45,7 +45,7 @@ class Laboratory(OpenStudy):
         """
         from feel321.study import freeze
         from feel321.study.session.opening import FROZEN_FILE
-        from feel321.study.terminal import lay_facts
+        from feel321.study.terminal import format_facts
 
         folder = self.folder
         if show:
@@ -61,7 +61,7 @@ class Laboratory(OpenStudy):
             lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
         if frozen is not None and show:
             own = {"hypotheses": frozen.hypotheses, "settings": frozen.settings}
-            lines += lay_facts(own)
+            lines += format_facts(own)
         if changes:
             lines += ["changed:", *(f"  {one}" for one in changes.values())]
         facts = {"frozen": frozen and asdict(frozen), "changes": [*changes.values()]}

@@ -12,7 +12,7 @@ from feel321.doors import as_path, follow, name_of
 from feel321.jobs import as_workers
 from feel321.study.folder import Outcome, StudyFolder, UsageError, require_study
 from feel321.study.options import AS_IT_SAYS
-from feel321.study.terminal import cap, dump_json, lay_facts, wants_bar, warn
+from feel321.study.terminal import cap, dump_json, format_facts, wants_bar, warn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -91,7 +91,7 @@ def reduce(
     write_wav(target, reduced, round(read.rate_hz))
     write_text(sidecar, dump_json(facts) + "\n")
     done = f"{read.name} through {name_of(reducer)}, {read.n_samples} samples, m/s^2"
-    return Outcome(facts, [f"{target}: {done}", *lay_facts(facts)])
+    return Outcome(facts, [f"{target}: {done}", *format_facts(facts)])
 
 
 def match(
@@ -139,7 +139,7 @@ def match(
         facts[name] = measure(ready.acceleration, samples, ready.rate_hz)
     reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
     faults = [f"{read.name}: {reasons}"] if reasons else []
-    return Outcome(facts, [*lay_facts(facts)], faults=faults)
+    return Outcome(facts, [*format_facts(facts)], faults=faults)
 
 
 def _read(source: options.Reading, path: Path) -> Recording:

@@ -85,7 +85,7 @@ def compute(table: Table, choices: Choices) -> Found:
             influence = replace(influence, table=per_step(influence.table, steps))
         analysis = Analysis(part, model, influence, table.info)
         rows = [row for row in slopes if row["attribute"] == part.lead]
-        verdicts = [conclude_slope(analysis, row) for row in rows]
+        verdicts = keep_steady([conclude_slope(analysis, row) for row in rows])
         found.verdicts += verdicts
         _add_rows(found, analysis, rows)
         more = [_describe_slope(analysis, row) for row in rows]
@@ -190,6 +190,15 @@ def conclude_slope(analysis: Analysis, row: Row) -> Row:
         "few": parts.list_few(analysis.units, least),
         "beyond_level": sensitivity.judge_level(model.level, row["p_holm"], row["plain_p_holm"]),
     }  # fmt: skip
+
+
+def keep_steady(verdicts: Sequence[Row]) -> list[Row]:
+    """Let no metric be better than one whose verdict a single unit turns: which is better is then left open."""
+    unsteady = {one["metric"] for one in verdicts if one["hinges_on"]}
+    return [
+        one | {"better_than": [name for name in one["better_than"] if name not in unsteady]}
+        for one in verdicts
+    ]
 
 
 def _find_hinges(analysis: Analysis, row: Row) -> list[Row]:
@@ -320,7 +329,8 @@ def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001
         for reason, names in others.groupby(others, sort=False).groups.items():
             found.notes.append(f"{part.lead}, {'; '.join(names)}: {reason}")
     if rows := found.rows["variants"]:
-        found.facts["turned"] = find_turned(rows)
+        known = any(math.isfinite(row["low"]) for row in rows if row["quantity"] == "standardised")
+        found.facts |= {"turned": find_turned(rows), "known": known}
     return found
 
 

@@ -334,6 +334,16 @@ def test_a_history_that_was_made_anew_or_turned_back_contradicts_the_remote(
     assert main(["audit", str(study.path), "--expect", before[:12]]) == 1
 
 
+def test_a_remote_that_git_knows_by_two_names_keeps_all_that_was_pushed(
+    study: StudyFolder, remote: Path
+) -> None:
+    own = read_own(study)
+    home = ["git", "-C", str(study.path / EVIDENCE)]
+    subprocess.run([*home, "remote", "add", "lab", str(remote)], check=True)
+    subprocess.run([*home, "update-ref", "refs/remotes/lab/other", own.history[-1].id], check=True)
+    assert read_own(study).pushed == {str(remote): {own.branch, "other"}}
+
+
 def test_a_remote_that_lost_its_checkpoints_is_found_and_not_filled_again(
     study: StudyFolder, remote: Path
 ) -> None:
