@@ -228,9 +228,8 @@ def measure_rotations(
         for entry in settings.recordings
     }
     effort = DECLARED if set(wanted) & set(ROTATIONS) else 1
-    seed = settings.study.seed
     return compute_rotations(
-        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
+        recordings, stimuli, recipe=recipe, seed=settings.study.seed, effort=effort, copies=copies
     )
 
 

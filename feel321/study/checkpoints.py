@@ -8,8 +8,6 @@ where a remote has more of that branch than the folder, a backup was restored, a
 on as another branch. Whoever can write to the folder can make the repository anew; only a remote shows that.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import socket
@@ -19,16 +17,12 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from feel321.files import create_text, make_folder, sync_folder, temporary_folder
-from feel321.study.folder import Seal
-from feel321.study.session.journal import SESSION_FILE, digest, list_journals, utc_now
+from feel321.study.folder import Seal, StudyFolder
+from feel321.study.session.journal import SESSION_FILE, Clock, digest, list_journals, utc_now
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
-
-if TYPE_CHECKING:
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock
 
 T = TypeVar("T")
 

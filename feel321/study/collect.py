@@ -5,29 +5,22 @@ whole or absent, a journal comes after all files that it names, and a second run
 at any point, the same call continues. Sources are only read.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.folder import list_delivered, require_study
+from feel321.study.folder import StudyFolder, list_delivered, require_study
 from feel321.study.participants import roster, withdrawal
 from feel321.study.participants.answers import PERSONAL_FILE, read_personal
 from feel321.study.participants.numbers import find_doubles, hold_numbers, read_holder, read_holders
 from feel321.study.session import journal as journals
-from feel321.study.session.journal import digest
+from feel321.study.session.journal import Clock, digest
 from feel321.study.session.opening import find_differences
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
 from feel321.study.settings.read import make_design, make_terms, read_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock
 
 COLLECT_LOCK = ".collect.lock"
 

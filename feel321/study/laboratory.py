@@ -60,8 +60,7 @@ class Laboratory(OpenStudy):
         if frozen is not None:
             lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
         if frozen is not None and show:
-            own = {"hypotheses": frozen.hypotheses, "settings": frozen.settings}
-            lines += format_facts(own)
+            lines += format_facts({"hypotheses": frozen.hypotheses, "settings": frozen.settings})
         if changes:
             lines += ["changed:", *(f"  {one}" for one in changes.values())]
         facts = {"frozen": frozen and asdict(frozen), "changes": [*changes.values()]}

@@ -218,8 +218,7 @@ def _get_rig(room: Room) -> Rig:
 def identify_lab(room: Room) -> dict[str, Any]:
     """Describe what a session depends on besides its plan, for the header of its journal."""
     who = room.casting.identity if room.casting else {"simulated": False}
-    rig = identify(_get_rig(room))
-    presenter = {**who, "rehearsal": room.study.is_rehearsal, "rig": rig}
+    presenter = {**who, "rehearsal": room.study.is_rehearsal, "rig": identify(_get_rig(room))}
     calibration = room.certificate.identity if room.certificate else UNCALIBRATED
     return read.make_identity(room.settings, room.study.path, presenter, calibration=calibration)
 

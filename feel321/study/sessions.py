@@ -57,8 +57,7 @@ class Room:
 def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock) -> Room:
     """Open the shared surroundings of a study's sessions."""
     scales = make_scales(read_study_texts(settings, study.path))
-    stale = settings.session.stale
-    return Room(study, settings, stimuli, scales, stale, now)
+    return Room(study, settings, stimuli, scales, settings.session.stale, now)
 
 
 def read_room(study: StudyFolder, *, now: Clock) -> Room:

@@ -74,8 +74,7 @@ def calibrate_rig(
     verdict = "passed" if passed else "did not pass"
     until = f"valid until {certificate.expires_utc[:10]}"
     line = f"certificate {certificate.id} ({certificate.method}): {verdict}; {until}"
-    lines = [line, *format_facts(facts["coils"])]
-    return Outcome(facts, lines, failed=not passed)
+    return Outcome(facts, [line, *format_facts(facts["coils"])], failed=not passed)
 
 
 def _read_gain(text: str) -> tuple[str, float]:

@@ -128,10 +128,9 @@ def list_fields(table: Any) -> dict[str, FieldInfo]:  # noqa: ANN401 - a model, 
     if issubclass(table, BaseModel):
         return dict(table.model_fields)
     defaults = table.__dataclass_fields__ if is_dataclass(table) else table._field_defaults
-    hints = get_type_hints(table, include_extras=True)
     return {
         name: FieldInfo.from_annotated_attribute(hint, defaults[name])
-        for name, hint in hints.items()
+        for name, hint in get_type_hints(table, include_extras=True).items()
     }
 
 

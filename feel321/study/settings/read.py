@@ -44,9 +44,7 @@ from feel321.types import Metric, Reducer
 
 CONSENT = "consent"  # the page whose text a lab can set by itself
 
-MOST_TRIALS = (
-    10_000  # trials in a session; people do a few hundred, simulated participants somewhat more
-)
+MOST_TRIALS = 10_000  # in a session; people do a few hundred, simulated participants some more
 
 Group = tuple[tuple[Item, ...], tuple[Task, ...]]  # what its participants feel, and do
 
