@@ -46,10 +46,8 @@ def read_array(given: object, *, what: str, axes: Sequence[str], missing: bool =
     bad = np.argwhere(np.isinf(values) if missing else ~np.isfinite(values))
     if len(bad):
         kind, do = ("infinite", "use NaN for a missing one") if missing else ("", "leave them out")
-        raise ValueError(
-            f"{what} must be finite, got {len(bad)} {kind or 'missing or infinite'} values, "
-            f"first in row {bad[0][0]}; {do}"
-        )
+        got = f"got {len(bad)} {kind or 'missing or infinite'} values, first in row {bad[0][0]}"
+        raise ValueError(f"{what} must be finite, {got}; {do}")
     return values
 
 

@@ -293,10 +293,8 @@ def coerce_acceleration(acceleration: ArrayLike) -> Samples:
     """Coerce to float64 of shape (..., 3, n); whether the values are finite is left to the caller."""
     samples = coerce_real(acceleration, "acceleration")
     if samples.ndim < 2 or samples.shape[-2] != AXES:  # noqa: PLR2004 - axes x samples
-        raise ValueError(
-            f"acceleration must have the shape (..., 3, n), three axes, then samples; got {samples.shape}"
-            f"{suggest_transpose(samples)}"
-        )
+        must = "acceleration must have the shape (..., 3, n), three axes, then samples"
+        raise ValueError(f"{must}; got {samples.shape}{suggest_transpose(samples)}")
     return samples
 
 
@@ -313,10 +311,8 @@ def admit(acceleration: ArrayLike, rate_hz: float) -> tuple[Samples, Samples]:
         not np.all(energy) and np.abs(samples).max(initial=0.0, where=energy[..., None] == 0) > 0
     ):
         check_finite(samples, "acceleration")
-        raise ValueError(
-            f"acceleration must have peaks from {low:g} to {high:g}, or none, got {largest(samples):.3g}; "
-            "is it in m/s^2?"
-        )
+        must = f"acceleration must have peaks from {low:g} to {high:g}, or none"
+        raise ValueError(f"{must}, got {largest(samples):.3g}; is it in m/s^2?")
     return samples, energy
 
 
@@ -362,10 +358,8 @@ def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> Samples:
         raise ValueError(f"{must}; got {shape}")
     signal = coerce_real(reduced, "reduced")
     if signal.shape != shape[-1:]:
-        raise ValueError(
-            f"reduced must have the shape {shape[-1:]}, one axis with as many samples as the recording; "
-            f"got {signal.shape}"
-        )
+        must = f"the shape {shape[-1:]}, one axis with as many samples as the recording"
+        raise ValueError(f"reduced must have {must}; got {signal.shape}")
     check_finite(signal, "reduced")
     if largest(signal) > SAFE_PEAK[1]:
         got = f"got {largest(signal):.3g}; is it in m/s^2?"

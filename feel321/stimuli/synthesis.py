@@ -68,10 +68,8 @@ def make_scene(
     """
     parts = tuple(check_name(part, SCENES, "scene") for part in str(name).split("+"))
     if check_rate(rate_hz) < 4000 or not 0.1 * len(parts) <= duration_s <= 3600:  # noqa: PLR2004 - limits named in the message
-        raise ValueError(
-            "a scene must have 4000 Hz or more and last 0.1 s to 3600 s (each of several 0.1 s), "
-            f"got {rate_hz} Hz and {duration_s} s"
-        )
+        must = "have 4000 Hz or more and last 0.1 s to 3600 s (each of several 0.1 s)"
+        raise ValueError(f"a scene must {must}, got {rate_hz} Hz and {duration_s} s")
     if not isinstance(rng, np.random.Generator):
         as_rng(rng)
         rng = np.random.default_rng([rng, *name.encode()])

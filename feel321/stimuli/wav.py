@@ -154,10 +154,9 @@ def read_wav_header(path: Path) -> WavHeader:
         if promised == 0:
             raise ValueError("the WAV file holds no samples; record or export it again")
         if header.present_bytes < header.data_bytes:
-            raise ValueError(
-                f"the header promises {promised} samples, the file holds {present}; "
-                "it is truncated or its header is wrong, copy or export it again"
-            )
+            got = f"the header promises {promised} samples, the file holds {present}"
+            why = "it is truncated or its header is wrong"
+            raise ValueError(f"{got}; {why}, copy or export it again")
         intake.check_samples(promised, header.channels, header.rate_hz)
     return header
 
@@ -193,8 +192,7 @@ def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
         do = "save as PCM or float"
         raise ValueError(f"the WAV coding 0x{coding:04x} of {bits} bits is not read; {do}")
     if frame_bytes != channels * -(-bits // 8):
-        raise ValueError(
-            f"the header gives frames of {frame_bytes} bytes for {channels} channels of {bits} bits; "
-            "it is wrong, copy or export the file again"
-        )
+        got = f"frames of {frame_bytes} bytes for {channels} channels of {bits} bits"
+        do = "it is wrong, copy or export the file again"
+        raise ValueError(f"the header gives {got}; {do}")
     return channels, rate, frame_bytes, coding == IEEE_FLOAT

@@ -205,8 +205,8 @@ def _build_design(
     if not order_effect:
         return design, terms
     if ORDER in items:
-        do = "rename it"
-        raise ValueError(f"pairs must not have an item named '{ORDER}', the order effect; {do}")
+        taken = f"an item named '{ORDER}', the order effect"
+        raise ValueError(f"pairs must not have {taken}; rename it")
     design = np.column_stack([design, np.ones(len(design))])
     if np.linalg.matrix_rank(design) < design.shape[1]:
         raise ValueError("order_effect needs pairs presented in both orders; leave it out")
@@ -281,8 +281,8 @@ def _read_rows(pairs: DataFrame, *, ties: str, ordered: bool) -> tuple[Names, Va
         wins, n_ties = _read_winners(pairs, names, ties)
     else:
         if ordered:
-            do = "leave it out"
-            raise ValueError(f"order_effect needs pairs that say which was presented first; {do}")
+            known = "pairs that say which was presented first"
+            raise ValueError(f"order_effect needs {known}; leave it out")
         names = np.sort(names, axis=1)
         wins = (names == sides[:, :1]).astype(np.float64)
     return names, wins, n_ties

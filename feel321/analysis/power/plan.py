@@ -78,19 +78,16 @@ def find_power(design: PowerDesign, simulate: Simulate | None = None) -> Power:
         first = f"{design.level:.3g}, the first step of Holm's method over {len(design.hypotheses)} tests"
         notes.append(f"The closed form is at a level of {first}.")
     if len(design.attributes) > 1:
-        notes.append(
-            "Attributes are taken to be independent of each other, although the same people rate them."
-        )
+        apart = "independent of each other, although the same people rate them"
+        notes.append(f"Attributes are taken to be {apart}.")
     if not design.is_own:
         notes.append(
             "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are "
             "more than the set has, some are used more than once, with the same metrics."
         )
     if SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique:
-        notes.append(
-            "Several recordings come from one source; what else they share is not simulated, so actual "
-            "power is lower."
-        )
+        lower = "what else they share is not simulated, so actual power is lower"
+        notes.append(f"Several recordings come from one source; {lower}.")
     rows = []
     for attribute, metric in design.hypotheses:
         form, slope = forms[metric], truth.find_slope(attribute, metric)

@@ -74,8 +74,7 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
         found.notes += _gather_notes(both, part.lead, most=len(panel.associations))
         explored = list(explore(part, table.further, choices))
         _add_associations(found, part, explored, name="further_associations")
-        lead = f"{part.lead}, further metrics"
-        found.notes += _gather_notes(explored, lead, most=len(explored))
+        found.notes += _gather_notes(explored, f"{part.lead}, further metrics", most=len(explored))
     ranges: dict[str, list[float]] = {}
     for one in (one for panel in told for one in panel["found"]):
         if np.isfinite(one["r"]["value"]):
@@ -89,8 +88,7 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
         "panels": told, "alone": alone, "map": SPACE if alone and (scales == PAIRED).any() else "",
         "ranges": [{"metric": name, "low": min(r), "high": max(r)} for name, r in ranges.items()],
     }  # fmt: skip
-    subjects = [one["subject"].lower() for one in told]
-    drawn = list(zip(panels, subjects, strict=True))
+    drawn = list(zip(panels, (one["subject"].lower() for one in told), strict=True))
     for slug, shown in parts.split_front("scatter", drawn):
         _draw(found, shown, table, slug=slug)
     return found
