@@ -19,9 +19,8 @@ from typing import Any
 GROUP = 0o050  # bits of a folder that its group may read and enter
 LOOK_S = 0.2  # how long a lock is waited for: `is_held` takes it for an instant, which must refuse nobody
 LONGEST_LINE = 1000  # characters of a refusal: a file may hold anything, and be long
-FORMULA = re.compile(
-    r"'*[=+@\t\r-]"
-)  # how a cell begins that a spreadsheet would run, or that was kept from it
+# How a cell begins that a spreadsheet would run, or that was kept from it.
+FORMULA = re.compile(r"'*[=+@\t\r-]")
 UNFINISHED = re.compile(r"\..+\.\d+(\.\w+)?\.part")  # `.NAME.PID.TOKEN.part`, while NAME is written
 TEMPORARY = re.compile(r"feel321-\d+-\w+")  # temporary folders: `feel321-PID-TOKEN`
 

@@ -117,8 +117,18 @@ class PaperClaim:
         if math.isnan(low) != math.isnan(high) or known != sorted(known):
             rule = "must have a value, or low and high, or all three in that order"
             raise ValueError(f"paper {rule}, got {known}")
-        for name, own in self.options.items():
-            check_name(name, OPTIONS, "options")
-            if name != "metrics" and isinstance(own, str) == (name == "among"):
-                must = "a list of names" if name == "among" else "a text"
-                raise ValueError(f"options.{name} must be {must}, got {own!r}")
+        _check_options(self.options)
+        told = {text for text in self.exceptions if text.strip()}
+        if len(told) < len(self.exceptions):
+            rule = "must be different names, none of them empty"
+            raise ValueError(f"exceptions {rule}, got {[*self.exceptions]}")
+
+
+def _check_options(options: Mapping[str, str | tuple[str, ...]]) -> None:
+    for name, own in options.items():
+        check_name(name, OPTIONS, "options")
+        if name != "metrics" and isinstance(own, str) == (name == "among"):
+            must = "a list of names" if name == "among" else "a text"
+            raise ValueError(f"options.{name} must be {must}, got {own!r}")
+        if not all(text.strip() for text in ((own,) if isinstance(own, str) else own)):
+            raise ValueError(f"options.{name} must not be empty; fill it in")

@@ -12,7 +12,7 @@ import pytest
 from feel321 import stimuli
 from feel321.extensions import find_method
 from feel321.stimuli.conform import check_method
-from feel321.stimuli.guard import OwnMetric, OwnReducer
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.stimuli.sets.recipe import Recipe
 
 CODE = """\
@@ -294,7 +294,7 @@ def test_what_a_method_prints_or_warns_goes_to_stderr_and_never_to_stdout(
         "print('hello'); warnings.warn('hot'); return acceleration[0]",
         "acceleration, rate_hz",
     )
-    stimuli.reduce(SCENE, stimuli.guard.OwnReducer(find(prebuilt, "reducer")))
+    stimuli.reduce(SCENE, stimuli.own_methods.OwnReducer(find(prebuilt, "reducer")))
     out, err = capsys.readouterr()
     assert out == ""
     assert err.splitlines() == ["hello", "feel321: warning: reducer f: UserWarning: hot"]

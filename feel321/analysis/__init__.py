@@ -14,6 +14,7 @@ from feel321.doors import import_lazily as _import_lazily
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
     from feel321.analysis.association import compare_metrics, correlate
+    from feel321.analysis.classic import compare_dependent, p1401, repeated_measures_correlation
     from feel321.analysis.consistency import rater_model
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
     from feel321.analysis.contrasts.compare import compare_reducers, equivalence
@@ -30,7 +31,6 @@ if _TYPE_CHECKING:
     from feel321.analysis.primary.model import fit_attributes, fit_primary
     from feel321.analysis.report.write import write_report
     from feel321.analysis.screening import RULES, screen_raters
-    from feel321.analysis.standard import compare_dependent, p1401, repeated_measures_correlation
     from feel321.analysis.table.items import Table
     from feel321.analysis.table.reading import read_table
     from feel321.analysis.tradeoff.measure import measure_tradeoff

@@ -76,18 +76,14 @@ def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> 
     check_name(level, LEVELS, "level")
     given = as_votes(table)
     cells = np.asarray(given, dtype=object)
-    if (
-        level == "nominal"
-        and cells.ndim == len(AXES)
-        and any(isinstance(one, str) for one in cells.flat)
-    ):
+    may_be_named = level == "nominal" and cells.ndim == len(AXES)
+    if may_be_named and any(isinstance(one, str) for one in cells.flat):
         number = factorize(cells.ravel())[0].reshape(cells.shape)
         given = np.where(number < 0, NAN, number)
     ratings = read_array(given, what="table", axes=AXES, missing=True)
     if level == "ratio" and (ratings < 0).any():
-        raise ValueError(
-            f"table must not be negative on a ratio scale, got {np.nanmin(ratings)}; use level='interval'"
-        )
+        got = f"got {np.nanmin(ratings)}; use level='interval'"
+        raise ValueError(f"table must not be negative on a ratio scale, {got}")
     pairable = ratings[np.isfinite(ratings).sum(axis=1) >= SMALLEST]
     if not len(pairable):
         raise ValueError(f"table must have a target with two ratings, got {len(ratings)} without")
@@ -258,17 +254,15 @@ def find_ceiling(items: Items, *, within: bool) -> tuple[float, list[str]]:
         return NAN, [f"No noise ceiling: {few}."]
     notes = []
     if not complete.all():
-        notes.append(
-            f"The noise ceiling rests on the {complete.sum()} stimuli that every participant rated, "
-            f"r on all {items.n_items}; r / ceiling is left out."
-        )
+        shared = f"the {complete.sum()} stimuli that every participant rated"
+        rest = f"r on all {items.n_items}; r / ceiling is left out"
+        notes.append(f"The noise ceiling rests on {shared}, {rest}.")
     groups = items.recordings[complete] * within
     ceiling = noise_ceiling_within(items.ratings[:, complete].T, groups)
     if np.isnan(ceiling):
         where = " of the same recording" if within else ""
-        notes.append(
-            f"No noise ceiling: mean ratings do not differ between stimuli{where} beyond noise."
-        )
+        alike = f"mean ratings do not differ between stimuli{where} beyond noise"
+        notes.append(f"No noise ceiling: {alike}.")
     return ceiling, notes
 
 

@@ -33,9 +33,8 @@ def read_numbers(given: object, *, what: str) -> Values:
         cells = np.asarray(given, dtype=object)
         return np.where(isna(cells), np.nan, cells).astype(np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"{what} must hold numbers: {error}; leave names out, as of rows or columns"
-        ) from error
+        do = "leave names out, as of rows or columns"
+        raise ValueError(f"{what} must hold numbers: {error}; {do}") from error
 
 
 def read_array(given: object, *, what: str, axes: Sequence[str], missing: bool = False) -> Values:
@@ -47,10 +46,8 @@ def read_array(given: object, *, what: str, axes: Sequence[str], missing: bool =
     bad = np.argwhere(np.isinf(values) if missing else ~np.isfinite(values))
     if len(bad):
         kind, do = ("infinite", "use NaN for a missing one") if missing else ("", "leave them out")
-        raise ValueError(
-            f"{what} must be finite, got {len(bad)} {kind or 'missing or infinite'} values, "
-            f"first in row {bad[0][0]}; {do}"
-        )
+        got = f"got {len(bad)} {kind or 'missing or infinite'} values, first in row {bad[0][0]}"
+        raise ValueError(f"{what} must be finite, {got}; {do}")
     return values
 
 
@@ -62,9 +59,8 @@ def check_labels(first: object, second: object, *, what: str) -> None:
         return
     one, other = first.index, second.index
     if one.is_unique and other.is_unique and not one.equals(other) and set(one) == set(other):
-        raise ValueError(
-            f"{what} must have its labels in the order of the other, got the same labels in another order; reindex it"
-        )
+        got = "got the same labels in another order; reindex it"
+        raise ValueError(f"{what} must have its labels in the order of the other, {got}")
 
 
 def read_groups(
@@ -92,6 +88,5 @@ def check_columns(table: DataFrame, names: Sequence[str], what: str) -> None:
 def check_draws(draws: int, *, usual: int = 2000) -> None:
     """Refuse fewer bootstrap draws than have a spread."""
     if draws < 2:  # noqa: PLR2004 - a spread needs two
-        raise ValueError(
-            f"draws must be 2 or more, got {draws}; use {usual} for results to be published"
-        )
+        got = f"got {draws}; use {usual} for results to be published"
+        raise ValueError(f"draws must be 2 or more, {got}")

@@ -20,7 +20,6 @@ from feel321.analysis.agreement import SMALLEST, find_ceiling
 from feel321.analysis.arrays import PERFECT, Values, check_draws
 from feel321.analysis.contrasts.compare import stimulus_means
 from feel321.analysis.table.items import Items, Table, choose_arms, make_items
-from feel321.analysis.table.schema import PAIR
 from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
 
@@ -309,22 +308,10 @@ class Panel:
     stimuli: DataFrame
 
 
-def refuse_untested(table: Table) -> None:
-    """Refuse ratings of references and anchors alone."""
-    if not table.rows["role"].isin(["test", PAIR]).any():
-        raise ValueError(
-            "ratings must be of one stimulus or more with role 'test', got none of such"
-        )
-
-
 def make_panel(
-    part: DataFrame,
-    metrics: tuple[str, ...],
-    *,
-    draws: int,
-    rng: np.random.Generator,
-    info: Mapping[str, MetricInfo] = MappingProxyType({}),
-) -> Panel:
+    part: DataFrame, metrics: tuple[str, ...],
+    *, draws: int, rng: np.random.Generator, info: Mapping[str, MetricInfo] = MappingProxyType({}),
+) -> Panel:  # fmt: skip
     """Correlate the ratings of one scale and one level with every metric, by every method."""
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
@@ -336,12 +323,11 @@ def make_panel(
         turned = replace(items, metrics=items.metrics * np.where(worse, -1.0, 1.0)[:, None])
         compared = correlate_items(turned, metrics, *resampling.METHODS, draws=draws, rng=seed)
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
+    pairs = list(combinations(metrics, 2))
     return Panel(
         scale=str(part["scale"].iloc[0]),
         level=str(part["level"].iloc[0]),
         associations=tuple(one.associate(metric) for metric in metrics for one in of),
-        differences=tuple(
-            one.compare(*pair) for pair in combinations(metrics, 2) for one in compared
-        ),
+        differences=tuple(one.compare(*pair) for pair in pairs for one in compared),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
     )

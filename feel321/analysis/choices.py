@@ -67,15 +67,11 @@ def gather_votes(table: Table, metrics: Sequence[str] = ()) -> Votes:
 
     if table.stimuli is None:
         raise ValueError("table must be one of read_table, got one without stimuli")
-    rows, listed, names = (
-        table.rows[table.rows["scale"].isin(CHOSEN)],
-        table.stimuli,
-        as_names(metrics, "metrics"),
-    )
+    rows = table.rows[table.rows["scale"].isin(CHOSEN)]
+    listed, names = table.stimuli, as_names(metrics, "metrics")
     if len(several := sorted(rows["scale"].unique())) > 1:
-        raise ValueError(
-            f"scale must be given where there are several, got {', '.join(several)}; name one"
-        )
+        got = f"got {', '.join(several)}; name one"
+        raise ValueError(f"scale must be given where there are several, {got}")
     if rows.empty:
         raise ValueError("table must hold a choice between two stimuli or more, got none")
     notes: list[str] = []
@@ -95,16 +91,13 @@ def gather_votes(table: Table, metrics: Sequence[str] = ()) -> Votes:
     one, other = (rows[name].astype(str).to_numpy() for name in (STIMULUS, OTHER))
     known, codes = np.unique(np.concatenate([one, other]), return_inverse=True)
     first, second = np.split(codes.astype(np.intp), 2)
-    ends = (
-        np.minimum(first, second),
-        np.maximum(first, second),
-        rows["reference_id"].fillna("").to_numpy(),
-    )
+    reference = rows["reference_id"].fillna("").to_numpy()
+    ends = [np.minimum(first, second), np.maximum(first, second), reference]
     worse = [name in table.info and table.info[name].higher == "worse" for name in names]
     values = listed.loc[known, list(names)].to_numpy(np.float64) * np.where(worse, -1.0, 1.0)
     return Votes(
         participant=pd.factorize(rows["participant"])[0], source=pd.factorize(rows[STIMULUS].map(listed["source"]))[0],
-        pair=pd.factorize(pd.MultiIndex.from_arrays([*ends]))[0], turned=first > second,
+        pair=pd.factorize(pd.MultiIndex.from_arrays(ends))[0], turned=first > second,
         chose_first=(rows["rating"] == HIGHEST).to_numpy(), metrics=names,
         differences=values[first] - values[second], notes=tuple(notes),
     )  # fmt: skip
@@ -127,9 +120,8 @@ def predict(votes: Votes) -> Statistic:
     """
     import pandas as pd
 
-    chosen = np.where(votes.chose_first, 1.0, -1.0)[:, None]
     # 1 predicted, 0 not, 0.5 where the metric of the two is the same.
-    hits = (1 + np.sign(votes.differences) * chosen) / 2
+    hits = (1 + np.sign(votes.differences) * np.where(votes.chose_first, 1.0, -1.0)[:, None]) / 2
     others, majority = agree_with_others(votes)
     names = pd.Index(votes.metrics, name="metric")
     shares = pd.DataFrame([infer_share(votes, column) for column in hits.T], index=names)

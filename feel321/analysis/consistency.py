@@ -187,14 +187,13 @@ def _read(ratings: Table | DataFrame | ArrayLike, scale: str | None, level: str 
         check_columns(table, ["participant", STIMULUS, "rating"], "ratings")
         refuse_pooled(table)
         values = read_numbers(table["rating"], what="ratings, 'rating'")
-        (rater, raters), (item, items) = (
-            pd.factorize(table[name].to_numpy(), sort=True) for name in ("participant", STIMULUS)
-        )
+        columns = [table[name].to_numpy() for name in ("participant", STIMULUS)]
     else:
         given = read_array(ratings, what="ratings", axes=("items", "raters"), missing=True)
         item, rater = np.nonzero(np.isfinite(given))
         values = given[item, rater]
-        (rater, raters), (item, items) = (pd.factorize(one, sort=True) for one in (rater, item))
+        columns = [rater, item]
+    (rater, raters), (item, items) = (pd.factorize(one, sort=True) for one in columns)
     for what, numbers, least in (("raters", rater, FEWEST_RATERS), ("stimuli", item, FEWEST_VOTES)):
         if (count := int(numbers.max(initial=-1)) + 1) < least:
             raise ValueError(f"ratings must be of {least} {what} or more, got {count}")

@@ -82,6 +82,5 @@ def _write_model(model: Primary, place: Path) -> None:
     ]
     make_folder(place)
     write_text(place / SCRIPT, "\n".join(lines))
-    frames = {"model.csv": model.model_frame, SLOPES: model.slopes.reset_index()}
-    for name, frame in frames.items():
+    for name, frame in {"model.csv": model.model_frame, SLOPES: model.slopes.reset_index()}.items():
         write_text(place / name, write_flags(frame).to_csv(index=False, na_rep=MISSING))

@@ -96,9 +96,8 @@ def inline_svg(name: str, caption: str, path: Path) -> Markup:
 
     body = UNWANTED.sub("", path.read_text(encoding="utf-8"))
     body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body)
-    body = re.sub(r"(\d+\.\d\d)\d+", r"\1", body).replace(
-        "'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif"
-    )
+    body = re.sub(r"(\d+\.\d\d)\d+", r"\1", body)
+    body = body.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif")
     for size in ("width", "height"):
         body = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", body, count=1)
     for colour, variable in PAGE_COLOURS.items():

@@ -74,9 +74,8 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
         looks = assign_looks(sorted(part.unique()))
         frame = profile.assign(part=part, name=profile["reducer"].map(format_name))
         frame = frame.sort_values("reducer", key=lambda own: own.map(names.index), kind="stable")
-        kinds.plot_forest(
-            ax, frame, columns="mean low high", series="part", looks=looks, include=()
-        )
+        ends = "mean low high"
+        kinds.plot_forest(ax, frame, columns=ends, series="part", looks=looks, include=())
         ax.legend(handles=list(make_handles(looks).values()), labels=list(looks))
     ax.set_xlabel(_label_ratings(profile))
     return ax

@@ -209,8 +209,8 @@ def _describe(claim: PaperClaim, found: ClaimValue, without: ClaimValue | None) 
 
 def describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> str:
     """Name the unit that comes closest, or is beyond."""
-    sign = 1 if upward else -1
-    name, ends = min(beside.items(), key=lambda item: sign * item[1][0])
+    nearest = min if upward else max
+    name, ends = nearest(beside.items(), key=lambda item: item[1][0])
     way = 1 if ends[0] >= 0 else -1
     low, high = sorted(way * end for end in ends[1:])
     value, interval = words.format_estimate(way * ends[0], low, high, kind=kind)
@@ -260,8 +260,7 @@ def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
         found = found.groupby(sources.astype(str)).mean()
     check_name(reducer, sorted(map(str, found)), "reducer")
     own = found[reducer]
-    others = choose_others(claim, found, reducer)
-    beside = {name: _average(own - found[name]) for name in others}
+    beside = {name: _average(own - found[name]) for name in choose_others(claim, found, reducer)}
     return ClaimValue(
         *_average(own), n=len(own), beside=beside, interval=OVER_RECORDINGS if len(own) > 1 else "",
         method=f"{metric} of {reducer}, mean over recordings", note=note_lacking(claim, found),
@@ -303,8 +302,7 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
 def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
     """Estimate the slope of ratings on a metric within recordings, all metrics together; option: metric."""
     metric = require_option(claim, "metric")
-    metrics = dict.fromkeys([*table.metrics, metric])
-    fit = fit_primary(table, list(metrics), explain=False)
+    fit = fit_primary(table, list(dict.fromkeys([*table.metrics, metric])), explain=False)
     if metric not in fit.slopes.index or not fit.slopes.loc[metric, "estimable"]:
         raise ValueError(f"the slope on {metric} is not estimable")
     slope = fit.slopes.loc[[metric]].to_dict("records")[0]
@@ -358,9 +356,8 @@ def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> Clai
     own = {attribute: found[check_name(attribute, sorted(found), "attribute")]}
     (row,) = space.regress_points(places, own, draws=min(choices.draws, 1000), rng=rng)
     if row["p_least"] >= LIMIT:
-        raise ValueError(
-            f"permutations of {places.shape[1]} stimuli give no p below {row['p_least']:.2f} for {attribute}"
-        )
+        none = f"give no p below {row['p_least']:.2f} for {attribute}"
+        raise ValueError(f"permutations of {places.shape[1]} stimuli {none}")
     return ClaimValue(
         row["r2"] - row["chance"], row["r2"] - row["chance_high"], row["r2"] - row["chance_low"], "correlation",
         "of the variance above chance", row["n"],

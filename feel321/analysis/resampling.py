@@ -54,9 +54,8 @@ class Choices:
         """Refuse what cannot be."""
         check_draws(self.draws)
         if self.margin is not None and not 0 < self.margin < np.inf:
-            raise ValueError(
-                f"margin must be above 0, in points of the scale, or None; got {self.margin}"
-            )
+            got = f"got {self.margin}"
+            raise ValueError(f"margin must be above 0, in points of the scale, or None; {got}")
 
     def make_rng(self, *names: str) -> np.random.Generator:
         """Make the generator of one result, its own: another metric or section does not change its interval."""
@@ -76,11 +75,9 @@ def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
         parts = [range(at, min(at + step, len(y))) for at in range(0, len(y), step)]
         found = [weighted_kendall(x, y[part], weights=weights.take(part, axis)) for part in parts]
         return np.concatenate(found, axis=axis)
-    order_x, order_y = (
-        (one[..., :, None] > one[..., None, :]).astype(np.float32) for one in (x, y)
-    )
+    above = [(one[..., :, None] > one[..., None, :]).astype(np.float32) for one in (x, y)]
     # Each pair is counted both ways round.
-    order_x, order_y = (one - one.swapaxes(-1, -2) for one in (order_x, order_y))
+    order_x, order_y = (one - one.swapaxes(-1, -2) for one in above)
     column = weights[..., None].astype(np.float32)
 
     def count(pairs: NDArray[np.float32]) -> Values:
@@ -112,8 +109,7 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
 
 def _scale_down(values: Values) -> Values:
     """Divide by a power of two, which is exact, so that no square overflows."""
-    exponent = np.frexp(np.abs(values).max(axis=-1, keepdims=True))[1]
-    scaled: Values = np.ldexp(values, -exponent)
+    scaled: Values = np.ldexp(values, -np.frexp(np.abs(values).max(axis=-1, keepdims=True))[1])
     return scaled
 
 
@@ -135,9 +131,8 @@ def weighted_ranks(values: Values, weights: Values) -> Values:
     rises = np.diff(ordered, axis=-1) > 0
     ends = np.ones((*rises.shape[:-1], 1), dtype=bool)
     # Both counts only grow, so a running maximum carries a tie's start forward and a running minimum its end back.
-    start = np.maximum.accumulate(
-        np.where(np.concatenate([ends, rises], axis=-1), before, 0), axis=-1
-    )
+    start = np.where(np.concatenate([ends, rises], axis=-1), before, 0)
+    start = np.maximum.accumulate(start, axis=-1)
     stop = np.where(np.concatenate([rises, ends], axis=-1), upto, np.inf)
     stop = np.minimum.accumulate(stop[..., ::-1], axis=-1)[..., ::-1]
     ranks = np.empty_like(upto)
@@ -294,9 +289,8 @@ def draw_methods(
         scenes = draw_counts(items.n_sources, size, rng=rng)[:, items.of_source]
         for method, found in blocks.items():
             counts = (scenes, np.ones_like(scenes))
-            found.append(
-                fisher_z(np.stack(averages.correlate(items, METHODS[method], counts=counts)))
-            )
+            drawn = averages.correlate(items, METHODS[method], counts=counts)
+            found.append(fisher_z(np.stack(drawn)))
     for method, found in blocks.items():
         how, each = METHODS[method], np.empty((len(items.metrics), 0))
         (point,) = whole.correlate(items, how, counts=(every,))

@@ -523,11 +523,8 @@ def _describe_panel(ratings: DataFrame, hit: set[object]) -> DataFrame:
                 figures |= {figure: getattr(icc, figure) for figure in FIGURES[:-1]}
             if (np.isfinite(votes).sum(axis=1) >= SMALLEST).sum() >= SMALLEST:
                 figures["alpha"] = krippendorff_alpha(votes)
-            sizes = {
-                "n_participants": votes.shape[1],
-                "n_items": len(votes),
-                "n_complete": len(complete),
-            }
+            sizes = {"n_participants": votes.shape[1], "n_items": len(votes)}
+            sizes["n_complete"] = len(complete)
             rows.append({"scale": scale, "panel": name, **sizes, **figures})
     columns = ["scale", "panel", "n_participants", "n_items", "n_complete", *FIGURES]
     return pd.DataFrame(rows, columns=columns)

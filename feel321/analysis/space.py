@@ -56,7 +56,13 @@ def fit_space(
         raise ValueError(f"dimensions must be 1 to {most} for {most + 1} stimuli, got {dimensions}")
     if draws and dimensions != PLANE:
         raise ValueError(f"dimensions must be 2 for ellipses, got {dimensions}; leave draws out")
-    starts = [_place_classically(target, dimensions)]
+    # The classical solution first.
+    centre = np.eye(len(target)) - 1 / len(target)
+    values, vectors = np.linalg.eigh(-centre @ target**2 @ centre / 2)
+    largest = np.argsort(values)[::-1][:dimensions]
+    # A dimension without variance would stay flat for ever: SMACOF cannot leave it.
+    spread = np.sqrt(np.maximum(values[largest], 1e-6 * values.max()))
+    starts = [vectors[:, largest] * spread]
     starts += [target.max() * rng.uniform(-1, 1, (len(target), dimensions)) for _ in range(STARTS)]
     rough, _ = min((_scale(target, start, ROUGH) for start in starts), key=lambda fit: fit[1])
     positions, stress = _scale(target, rough, FINE)
@@ -92,9 +98,8 @@ def _draw_ellipses(
     votes = np.einsum("dp,pij->dij", weights, seen)
     sums = np.einsum("dp,pij->dij", weights, np.where(seen, stack, 0))
     means = np.divide(sums, votes, out=np.broadcast_to(group, sums.shape).copy(), where=votes > 0)
-    placed = [
-        _align(_scale(check_dissimilarities(mean), places, ROUGH)[0], places) for mean in means
-    ]
+    scaled = (_scale(check_dissimilarities(mean), places, ROUGH)[0] for mean in means)
+    placed = [_align(one, places) for one in scaled]
     moved = np.stack(placed) - np.mean(placed, axis=0)
     covariance = np.einsum("dni,dnj->nij", moved, moved) / (draws - 1)
     values, vectors = np.linalg.eigh(covariance)
@@ -154,25 +159,13 @@ def check_dissimilarities(dissimilarities: object) -> Values:
     rated = np.isfinite(stack).sum(axis=0) + np.eye(stack.shape[1], dtype=np.int64)
     if not rated.all():
         first, second = np.argwhere(rated == 0)[0]
-        raise ValueError(
-            f"dissimilarities must hold every pair, got no rating of stimuli {first} and {second}; leave one out"
-        )
+        got = f"got no rating of stimuli {first} and {second}; leave one out"
+        raise ValueError(f"dissimilarities must hold every pair, {got}")
     mean: Values = np.where(np.isfinite(stack), stack, 0).sum(axis=0) / rated
     if not mean.any():
-        raise ValueError(
-            "dissimilarities must differ from 0, got 0 for every pair: there is no map"
-        )
+        got = "got 0 for every pair: there is no map"
+        raise ValueError(f"dissimilarities must differ from 0, {got}")
     return mean
-
-
-def _place_classically(target: Values, dimensions: int) -> Values:
-    centre = np.eye(len(target)) - 1 / len(target)
-    values, vectors = np.linalg.eigh(-centre @ target**2 @ centre / 2)
-    largest = np.argsort(values)[::-1][:dimensions]
-    # A dimension without variance would stay flat for ever: SMACOF cannot leave it.
-    spread = np.sqrt(np.maximum(values[largest], 1e-6 * values.max()))
-    placed: Values = vectors[:, largest] * spread
-    return placed
 
 
 def _scale(target: Values, start: Values, steps: tuple[int, float]) -> tuple[Values, float]:
@@ -185,9 +178,8 @@ def _scale(target: Values, start: Values, steps: tuple[int, float]) -> tuple[Val
     )  # fmt: skip
     pairs = np.triu_indices(len(target), 1)
     distances = np.sqrt(((positions[:, None] - positions) ** 2).sum(axis=-1))[pairs]
-    return positions, float(
-        np.sqrt(((target[pairs] - distances) ** 2).sum() / (distances**2).sum())
-    )
+    stress = np.sqrt(((target[pairs] - distances) ** 2).sum() / (distances**2).sum())
+    return positions, float(stress)
 
 
 def align_spaces(
@@ -204,9 +196,8 @@ def align_spaces(
         raise ValueError(f"permutations must be 1 or more, got {permutations}; use 2000")
     one, other = _check_positions(positions, "positions"), _check_positions(reference, "reference")
     if len(one) != len(other):
-        raise ValueError(
-            f"reference must be of the same {len(one)} stimuli, got {len(other)} stimuli"
-        )
+        got = f"got {len(other)} stimuli"
+        raise ValueError(f"reference must be of the same {len(one)} stimuli, {got}")
     width, rng = max(one.shape[1], other.shape[1]), as_rng(rng)
     one, other = (np.pad(place, ((0, 0), (0, width - place.shape[1]))) for place in (one, other))
     agreement = _agree(one, other)

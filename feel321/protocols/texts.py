@@ -158,9 +158,7 @@ LEAST_OPTIONS, MOST_OPTIONS = 2, 9  # each has a digit
 MOST_QUESTIONS = 60
 MOST_LETTERS = 500  # of a text, which is shown on one screen
 
-Answer = (
-    float | str | None
-)  # an option, a text, a number, that of a point; None where it was left open
+Answer = float | str | None  # an option, a text, a number, that of a point; None where left open
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,9 +38,7 @@ GUESS = 0.5  # share of correct answers without any vibration
 SLOPES = (1.0, 8.0, 16)  # Weibull slopes thought possible: from, to, how many, in geometric steps
 MARGIN_DB = 6.0  # how far beyond the rig's levels a threshold is thought possible, so that one at a limit shows
 THRESHOLD_STEP_DB, LEVEL_STEP_DB = 0.5, 1.0  # of thresholds thought possible; of levels presented
-DESCENT = (
-    2  # correct answers in a row down until the first wrong one: 1 would dive on lucky guesses
-)
+DESCENT = 2  # correct in a row to go down until the first wrong one: 1 would dive on lucky guesses
 MOST_DB = 200  # widest range of levels
 UNLIKELY = 0.05  # probability under guessing below which answers are remarked on
 

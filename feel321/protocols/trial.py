@@ -18,11 +18,7 @@ if TYPE_CHECKING:
 RATING_RANGE = (0.0, 100.0)  # lowest and highest rating of every scale, in points
 
 FREE = "free"
-TIMINGS = (
-    "strict",
-    "replay",
-    FREE,
-)  # felt once in order; then again at will; at will from the start
+TIMINGS = ("strict", "replay", FREE)  # felt once in order; then again at will; at will throughout
 SURFACE = "surface"  # stands for the id of a stimulus where the real surface is felt
 ORIGINAL = "original"  # name of the recording itself as a reference
 MATCHING, THRESHOLD = "matching", "threshold"  # protocol, scale and phase of these blocks' trials

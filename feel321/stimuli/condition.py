@@ -52,18 +52,15 @@ class Conditioning:
         for name in ("high_pass_hz", "low_pass_hz"):
             corner = getattr(self, name)
             if corner is not None and not 0 < corner < np.inf:
-                raise ValueError(
-                    f"{name} must be a frequency above 0 Hz, or nothing for no filter; got {corner}"
-                )
+                must = f"{name} must be a frequency above 0 Hz, or nothing for no filter"
+                raise ValueError(f"{must}; got {corner}")
         if self.high_pass_hz and self.low_pass_hz and self.high_pass_hz >= self.low_pass_hz:
-            raise ValueError(
-                f"high_pass_hz must be below low_pass_hz, {self.low_pass_hz}; got {self.high_pass_hz}"
-            )
+            got = f"got {self.high_pass_hz}"
+            raise ValueError(f"high_pass_hz must be below low_pass_hz, {self.low_pass_hz}; {got}")
         crop = (0.0, 1.0) if self.crop_s is None else self.crop_s
         if np.shape(crop) != (2,) or not 0 <= crop[0] < crop[1] < np.inf:
-            raise ValueError(
-                f"crop_s must be (start, end) in s with 0 <= start < end, got {self.crop_s}"
-            )
+            got = f"got {self.crop_s}"
+            raise ValueError(f"crop_s must be (start, end) in s with 0 <= start < end, {got}")
 
 
 def make_plain(settings: object) -> None:
@@ -146,16 +143,14 @@ def filter_zero_phase(
     from scipy import signal
 
     if corner_hz >= rate_hz / 2:
-        raise ValueError(
-            f"{kind} must be below the Nyquist frequency of {rate_hz / 2:g} Hz, got {corner_hz} Hz"
-        )
+        got = f"got {corner_hz} Hz"
+        raise ValueError(f"{kind} must be below the Nyquist frequency of {rate_hz / 2:g} Hz, {got}")
     sections = signal.butter(FILTER_ORDER, corner_hz, btype=kind, fs=rate_hz, output="sos")
     # Padded by a period of the corner: the filter's start-up takes about that long to die out.
     padding = min(max(int(rate_hz / corner_hz), 3 * (2 * len(sections) + 1)), samples.shape[-1] - 1)
     if padding < 1:
-        raise ValueError(
-            f"{kind} needs 2 samples or more, got {samples.shape[-1]}; switch the filter off"
-        )
+        got = f"got {samples.shape[-1]}; switch the filter off"
+        raise ValueError(f"{kind} needs 2 samples or more, {got}")
     return np.asarray(signal.sosfiltfilt(sections, samples, padlen=padding), dtype=np.float64)
 
 
@@ -163,9 +158,8 @@ def fade(samples: Samples, rate_hz: float, *, fade_s: float) -> Samples:
     """Fade signals, (..., n), in and out with raised cosines, so that they start and end in silence."""
     n = samples.shape[-1]
     if not 0 <= 2 * fade_s * rate_hz <= n:
-        raise ValueError(
-            f"fade_s must be 0 to {n / rate_hz / 2:.6g} s, half the signal; got {fade_s}"
-        )
+        got = f"got {fade_s}"
+        raise ValueError(f"fade_s must be 0 to {n / rate_hz / 2:.6g} s, half the signal; {got}")
     length = int(fade_s * rate_hz)
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(length) + 0.5) / max(length, 1))
     faded = samples.copy()
@@ -180,8 +174,6 @@ def resample(samples: Samples, rate_hz: float, *, to_hz: float) -> Samples:
 
     if rate_hz == to_hz:
         return samples
-    channels = [
-        soxr.resample(one, rate_hz, to_hz, quality="VHQ")
-        for one in samples.reshape(-1, samples.shape[-1])
-    ]
+    rows = samples.reshape(-1, samples.shape[-1])
+    channels = [soxr.resample(one, rate_hz, to_hz, quality="VHQ") for one in rows]
     return np.asarray(channels, dtype=np.float64).reshape(*samples.shape[:-1], -1)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from feel321.stimuli.guard import OwnMetric, OwnReducer
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.types import Samples
 
 if TYPE_CHECKING:
@@ -63,9 +63,8 @@ def _load(method: Method) -> str:
         return "a command; it is run for every signal"
     found = method.load()
     if not callable(found):
-        raise TypeError(
-            f"{method}: must be a function, or a class with __call__, got {type(found).__name__}"
-        )
+        got = f"got {type(found).__name__}"
+        raise TypeError(f"{method}: must be a function, or a class with __call__, {got}")
     return f"{method.place}, sha256 {method.sha256[:12]}"
 
 

@@ -32,10 +32,10 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from feel321.records import Result
 from feel321.stimuli import recording
@@ -107,29 +107,20 @@ class WeberSmoothing:
         first = int(low[0]) if len(low) else 0
         last = min(int(np.ceil(high[-1])) + 1, n_bins) if len(high) else 0
         self.bins = slice(first, last)
-        self._low, self._high = (_Edges.at(edge - first, last - first) for edge in (low, high))
+        # Edges of the windows in the running sum: a number of whole bins, and a share of the next.
+        edges = np.stack([low, high]) - first
+        self._edges = np.clip(edges.astype(np.intp), 0, max(last - first - 1, 0))
+        self._shares = edges - self._edges
         self._width = high - low
 
     def __call__(self, spectrum: Samples) -> Samples:
         """Smooth spectra: (..., number of `bins`) in, (..., n_frequencies) out."""
         running = np.zeros((*spectrum.shape[:-1], spectrum.shape[-1] + 1), dtype=np.longdouble)
         np.cumsum(spectrum, axis=-1, out=running[..., 1:])
-        low, high = self._low, self._high
-        whole = (running[..., high.bin] - running[..., low.bin]).astype(np.float64)
-        cut = high.share * spectrum[..., high.bin] - low.share * spectrum[..., low.bin]
+        (low, high), (below, above) = self._edges, self._shares
+        whole = (running[..., high] - running[..., low]).astype(np.float64)
+        cut = above * spectrum[..., high] - below * spectrum[..., low]
         return np.asarray((whole + cut) / self._width)
-
-
-class _Edges(NamedTuple):
-    """Edges of the windows in the running sum: a number of whole bins, and a share of the next."""
-
-    bin: NDArray[np.intp]
-    share: Samples
-
-    @classmethod
-    def at(cls, position: Samples, n_bins: int) -> _Edges:
-        whole = np.clip(position.astype(np.intp), 0, max(n_bins - 1, 0))
-        return cls(whole, position - whole)
 
 
 class OriginalSpectrum:
@@ -169,9 +160,8 @@ class OriginalSpectrum:
                 "the recording has no energy from 20 to 1000 Hz: it is silent there, or its offset, a million times "
                 "larger, must be removed first"
             )
-        return (
-            "the recording is too short, or its rate too low, for any frequency from 20 to 1000 Hz"
-        )
+        short = "the recording is too short, or its rate too low"
+        return f"{short}, for any frequency from 20 to 1000 Hz"
 
     def describe(self, reduced: Samples) -> SpectralMatch:
         """Match one reduced signal, frequency by frequency."""
@@ -218,9 +208,8 @@ class OriginalSpectrum:
         strongest = self._smoothed + np.maximum(-difference, 0.0)  # max(E, S) = E + max(S - E, 0)
         energy = np.maximum(np.einsum("...n,...n->...", reduced, reduced), self._energy)
         used = self._used | (strongest > NUMERICAL_FLOOR * energy[..., None])
-        deviation = np.divide(
-            np.abs(difference), strongest, out=np.zeros_like(strongest), where=used
-        )
+        deviation = np.zeros_like(strongest)
+        np.divide(np.abs(difference), strongest, out=deviation, where=used)
         count = used.sum(axis=-1)
         match = 1.0 - np.minimum(deviation, 1.0).sum(axis=-1) / np.maximum(count, 1)
         return np.where(count > 0, np.maximum(match, 0.0), np.nan)

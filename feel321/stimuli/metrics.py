@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike
 
 from feel321.doors import Registry, coerce_real, name_of
 from feel321.names import MATCHES, METRIC_INFO, WRITTEN
-from feel321.stimuli.guard import find_metric
 from feel321.stimuli.match import (
     spectral_match,
     spectral_match_bounded,
     temporal_match,
     temporal_match_windowed,
 )
+from feel321.stimuli.own_methods import find_metric
 from feel321.stimuli.recording import Reduced, Signal, as_pair, check_acceleration
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import Metric, Reducer, Samples
@@ -116,9 +116,8 @@ def match(
     samples = check_acceleration(given)
     measures = METRICS.choose(metrics)
     if isinstance(reduced, str) or callable(reduced):
-        raise TypeError(
-            f"reduced must be a signal; for a reducer, write reducers=[{name_of(reduced)}]"
-        )
+        do = f"for a reducer, write reducers=[{name_of(reduced)}]"
+        raise TypeError(f"reduced must be a signal; {do}")
     if reduced is None:
         functions = REDUCERS.choose(reducers)
         outputs = {name: function(samples, rate) for name, function in functions.items()}

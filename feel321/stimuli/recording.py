@@ -84,9 +84,8 @@ class Recording(Result):
         """Check and convert once, when the recording is made."""
         given = coerce_acceleration(self.acceleration)
         if given.ndim != 2 or given.shape[1] == 0:  # noqa: PLR2004 - axes x samples
-            raise ValueError(
-                f"recording {self.name!r} must have the shape (3, n) with n >= 1, got {given.shape}"
-            )
+            must = f"recording {self.name!r} must have the shape (3, n) with n >= 1"
+            raise ValueError(f"{must}, got {given.shape}")
         size = UNITS[check_name(self.unit, UNITS, "unit")]
         with np.errstate(over="ignore", invalid="ignore"):
             samples = np.multiply(given, size, order="C")
@@ -142,9 +141,8 @@ class Recording(Result):
             )
         start, end = (round(time * self.rate_hz) for time in (start_s, end_s))
         if end <= start:
-            raise ValueError(
-                f"crop_s ({start_s}, {end_s}) holds no sample at {self.rate_hz:g} Hz; keep a longer part"
-            )
+            got = f"crop_s ({start_s}, {end_s}) holds no sample at {self.rate_hz:g} Hz"
+            raise ValueError(f"{got}; keep a longer part")
         return replace(self, acceleration=self.acceleration[:, start:end])
 
     def to_frame(self) -> DataFrame:
@@ -242,9 +240,8 @@ def as_signal(
             raise TypeError("rate_hz must be given with plain samples; or pass a Recording")
         return signal, rate
     if given_hz not in {None, signal.rate_hz}:
-        raise ValueError(
-            f"rate_hz must be left out or {signal.rate_hz:g}, that of the signal; got {given_hz:g}"
-        )
+        must = f"rate_hz must be left out or {signal.rate_hz:g}, that of the signal"
+        raise ValueError(f"{must}; got {given_hz:g}")
     samples = signal.acceleration if isinstance(signal, Recording) else signal.samples
     return samples, signal.rate_hz
 
@@ -254,20 +251,16 @@ def as_samples(signal: Signal, rate_hz: float | None) -> tuple[Samples, float]:
     given, rate = as_signal(signal, rate_hz)
     samples = coerce_real(given, "signal")
     if samples.ndim not in {1, 2} or not samples.size:
-        raise ValueError(
-            f"signal must have the shape (n,) or (axes, n) with n >= 1, got {samples.shape}"
-        )
+        got = f"got {samples.shape}"
+        raise ValueError(f"signal must have the shape (n,) or (axes, n) with n >= 1, {got}")
     check_finite(samples, "signal")
     return samples, rate
 
 
 def as_pair(
-    acceleration: Signal,
-    reduced: ArrayLike | None,
-    rate_hz: float | None,
-    *,
-    otherwise: float | None = None,
-) -> tuple[ArrayLike, float]:
+    acceleration: Signal, reduced: ArrayLike | None, rate_hz: float | None,
+    *, otherwise: float | None = None,
+) -> tuple[ArrayLike, float]:  # fmt: skip
     """Take a recording's samples and rate, which must be that of the reduced signal if this brings one."""
     own = reduced.rate_hz if isinstance(reduced, Reduced) else None
     given, rate = as_signal(acceleration, rate_hz, otherwise=own or otherwise)
@@ -300,10 +293,8 @@ def coerce_acceleration(acceleration: ArrayLike) -> Samples:
     """Coerce to float64 of shape (..., 3, n); whether the values are finite is left to the caller."""
     samples = coerce_real(acceleration, "acceleration")
     if samples.ndim < 2 or samples.shape[-2] != AXES:  # noqa: PLR2004 - axes x samples
-        raise ValueError(
-            f"acceleration must have the shape (..., 3, n), three axes, then samples; got {samples.shape}"
-            f"{suggest_transpose(samples)}"
-        )
+        must = "acceleration must have the shape (..., 3, n), three axes, then samples"
+        raise ValueError(f"{must}; got {samples.shape}{suggest_transpose(samples)}")
     return samples
 
 
@@ -320,10 +311,8 @@ def admit(acceleration: ArrayLike, rate_hz: float) -> tuple[Samples, Samples]:
         not np.all(energy) and np.abs(samples).max(initial=0.0, where=energy[..., None] == 0) > 0
     ):
         check_finite(samples, "acceleration")
-        raise ValueError(
-            f"acceleration must have peaks from {low:g} to {high:g}, or none, got {largest(samples):.3g}; "
-            "is it in m/s^2?"
-        )
+        must = f"acceleration must have peaks from {low:g} to {high:g}, or none"
+        raise ValueError(f"{must}, got {largest(samples):.3g}; is it in m/s^2?")
     return samples, energy
 
 
@@ -365,18 +354,14 @@ def largest(samples: Samples) -> float:
 def check_reduced(reduced: ArrayLike, shape: tuple[int, ...]) -> Samples:
     """Coerce a reduced signal to float64, or say why it does not fit a recording of the given shape, (3, n)."""
     if len(shape) != 2 or shape[-1] == 0:  # noqa: PLR2004 - axes x samples
-        raise ValueError(
-            f"acceleration must have the shape (3, n) with n >= 1, one recording at a time; got {shape}"
-        )
+        must = "acceleration must have the shape (3, n) with n >= 1, one recording at a time"
+        raise ValueError(f"{must}; got {shape}")
     signal = coerce_real(reduced, "reduced")
     if signal.shape != shape[-1:]:
-        raise ValueError(
-            f"reduced must have the shape {shape[-1:]}, one axis with as many samples as the recording; "
-            f"got {signal.shape}"
-        )
+        must = f"the shape {shape[-1:]}, one axis with as many samples as the recording"
+        raise ValueError(f"reduced must have {must}; got {signal.shape}")
     check_finite(signal, "reduced")
     if largest(signal) > SAFE_PEAK[1]:
-        raise ValueError(
-            f"reduced must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(signal):.3g}; is it in m/s^2?"
-        )
+        got = f"got {largest(signal):.3g}; is it in m/s^2?"
+        raise ValueError(f"reduced must have a peak of at most {SAFE_PEAK[1]:g}, {got}")
     return signal

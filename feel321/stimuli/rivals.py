@@ -63,7 +63,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.doors import Registry, check_finite, coerce_real
+from feel321.doors import Registry
 from feel321.names import MOST_DB
 from feel321.stimuli import recording
 from feel321.stimuli.match import (
@@ -109,9 +109,8 @@ class Pair:
     @cached_property
     def energies(self) -> tuple[Samples, Samples]:
         """Energy of the recording (the sum of its axes) and of the reduced signal, (..., n // 2 + 1), bin by bin."""
-        axes, reduced = (
-            np.square(spectrum.real) + np.square(spectrum.imag) for spectrum in self.spectra
-        )
+        energies = (np.square(one.real) + np.square(one.imag) for one in self.spectra)
+        axes, reduced = energies
         return axes.sum(axis=-2), reduced
 
     @cached_property
@@ -131,25 +130,8 @@ def make_pair(
 ) -> Pair:
     """Check one recording and one reduced signal."""
     given, rate = recording.as_pair(acceleration, reduced, rate_hz)
-    samples = np.asarray(given)
-    return make_pairs(
-        given, recording.check_reduced(reduced, samples.shape) if samples.ndim else reduced, rate
-    )
-
-
-def make_pairs(acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> Pair:
-    """Check recordings (..., 3, n) and as many reduced signals (..., n)."""
-    samples, _ = recording.admit(acceleration, rate_hz)
-    signal = coerce_real(reduced, "reduced")
-    if signal.shape != (*samples.shape[:-2], samples.shape[-1]) or not samples.shape[-1]:
-        raise ValueError(
-            f"reduced must have the shape (..., n) of acceleration (..., 3, n), n >= 1; got {signal.shape} for "
-            f"{samples.shape}"
-        )
-    check_finite(signal, "reduced")
-    if recording.largest(signal) > recording.SAFE_PEAK[1]:
-        raise ValueError("reduced is more than 1e60; is it in m/s^2?")
-    return Pair(samples, signal, float(rate_hz))
+    samples, _ = recording.admit(given, rate)
+    return Pair(samples, recording.check_reduced(reduced, samples.shape), float(rate))
 
 
 def follow_energy(pair: Pair, weights: Samples | float = 1.0) -> tuple[Samples, Samples, float]:
@@ -184,24 +166,19 @@ def level_db(original: Samples, reduced: Samples) -> Samples:
 def smooth_bands(pair: Pair) -> tuple[Samples, Samples, Samples]:
     """Middles of the bands in Hz; mean energy per bin of the recording and of the reduced signal, (..., n_bands)."""
     n = pair.samples.shape[-1]
-    centres = _band_centres(n, pair.rate_hz)
+    # Bands 22 % wide that fill the felt range; possibly none.
+    lowest, highest = max(LOWEST_HZ, pair.rate_hz / n), min(HIGHEST_HZ, pair.rate_hz / 2)
+    centres = np.zeros(0)
+    if lowest < highest:
+        ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
+        n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
+        edges = np.geomspace(lowest, highest, n_bands + 1)
+        centres = (edges[1:] + edges[:-1]) / 2
     smooth = WeberSmoothing(centres, pair.rate_hz / n, n // 2 + 1)
     # What is left of a sum of energies may be negative by rounding.
-    original, reduced = (
-        np.maximum(smooth(energy[..., smooth.bins]), 0.0) for energy in pair.energies
-    )
+    smoothed = (smooth(energy[..., smooth.bins]) for energy in pair.energies)
+    original, reduced = (np.maximum(energy, 0.0) for energy in smoothed)
     return centres, original, reduced
-
-
-def _band_centres(n_samples: int, rate_hz: float) -> Samples:
-    """Middles of bands 22 % wide that fill the felt range; possibly none."""
-    lowest, highest = max(LOWEST_HZ, rate_hz / n_samples), min(HIGHEST_HZ, rate_hz / 2)
-    if lowest >= highest:
-        return np.zeros(0)
-    ratio = (2 + WEBER_FRACTION) / (2 - WEBER_FRACTION)
-    n_bands = max(round(math.log(highest / lowest) / math.log(ratio)), 1)
-    edges = np.geomspace(lowest, highest, n_bands + 1)
-    return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
 def level_difference(pair: Pair) -> Samples:
@@ -304,8 +281,7 @@ def find_depths(energy: Samples, rate_hz: float) -> Samples:
     shares = (band[:, None] == np.unique(band[band >= 0])).astype(float)
     depths = 2 * np.sqrt(np.abs(spectrum) ** 2 @ shares)
     mean = mean[..., None]
-    unknown = np.full_like(depths, np.nan)
-    return np.asarray(np.divide(depths, mean, out=unknown, where=mean > 0))
+    return np.asarray(np.divide(depths, mean, out=np.full_like(depths, np.nan), where=mean > 0))
 
 
 def compare_depths(recorded: Samples, reduced: Samples) -> Samples:
@@ -313,9 +289,8 @@ def compare_depths(recorded: Samples, reduced: Samples) -> Samples:
     if not recorded.shape[-1]:
         return np.full(recorded.shape[:-1], np.nan)
     silent = np.isnan(reduced).any(axis=-1)
-    apart = [
-        np.sqrt(np.mean(np.square(recorded - other), axis=-1)) for other in (reduced, 0.0, 1.0)
-    ]
+    squares = (np.square(recorded - other) for other in (reduced, 0.0, 1.0))
+    apart = [np.sqrt(np.mean(one, axis=-1)) for one in squares]
     return np.where(silent, np.maximum(apart[1], apart[2]), apart[0])
 
 

@@ -168,9 +168,8 @@ def rotation_statistics(
     [0.05, 0.0]
     """
     if not rotations >= LEAST_ROTATIONS or rotations % 1:  # neither NaN nor infinity passes
-        raise ValueError(
-            f"rotations must be a whole number of {LEAST_ROTATIONS} or more, got {rotations}"
-        )
+        got = f"got {rotations}"
+        raise ValueError(f"rotations must be a whole number of {LEAST_ROTATIONS} or more, {got}")
     given, rate = as_signal(recording, rate_hz)
     chosen = REDUCERS.choose(reducers)
     turns = random_rotations(rotations, as_rng(rng))
@@ -193,9 +192,8 @@ def match_rotations(
     """
     samples, _ = admit(acceleration, rate_hz)
     if samples.ndim != 2 or samples.shape[1] == 0:  # noqa: PLR2004 - axes x samples
-        raise ValueError(
-            f"acceleration must have the shape (3, n), n >= 1, one recording at a time; got {samples.shape}"
-        )
+        must = "acceleration must have the shape (3, n), n >= 1, one recording at a time"
+        raise ValueError(f"{must}; got {samples.shape}")
     reduce = [REDUCERS.find(one) for one in reducers]
     original = OriginalSpectrum(samples, rate_hz)
     found = np.empty((len(reduce), 3, len(turns)))

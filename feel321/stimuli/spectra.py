@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -150,16 +150,10 @@ def _estimate(
 
     samples, rate = as_samples(signal, rate_hz)
     if samples.shape[:-1] not in {(), (AXES,)}:
-        raise ValueError(
-            f"signal must have one axis or three, got the shape {samples.shape}{suggest_transpose(samples)}"
-        )
+        got = f"got the shape {samples.shape}{suggest_transpose(samples)}"
+        raise ValueError(f"signal must have one axis or three, {got}")
     length = min(window_samples(window_s, rate), samples.shape[-1])
-    frequencies, times, density = by_scipy(
-        np.atleast_2d(samples),
-        rate,
-        window="hann",
-        nperseg=length,
-        noverlap=length // 2,
-        detrend=False,
-    )
+    windows: dict[str, Any] = {"window": "hann", "nperseg": length, "noverlap": length // 2}
+    both = np.atleast_2d(samples)
+    frequencies, times, density = by_scipy(both, rate, detrend=False, **windows)
     return density.sum(axis=0), frequencies, times, length / rate

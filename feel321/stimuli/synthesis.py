@@ -17,7 +17,7 @@ References
    doi:10.1109/3516.951362
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -66,38 +66,28 @@ def make_scene(
     >>> stimuli.make_scene("bumps+texture_drag+hard_taps", duration_s=8)
     Recording('bumps-texture_drag-hard_taps', 80000 samples at 10000 Hz, 8 s)
     """
-    parts = split_scene(name)
+    parts = tuple(check_name(part, SCENES, "scene") for part in str(name).split("+"))
     if check_rate(rate_hz) < 4000 or not 0.1 * len(parts) <= duration_s <= 3600:  # noqa: PLR2004 - limits named in the message
-        raise ValueError(
-            "a scene must have 4000 Hz or more and last 0.1 s to 3600 s (each of several 0.1 s), "
-            f"got {rate_hz} Hz and {duration_s} s"
-        )
+        must = "have 4000 Hz or more and last 0.1 s to 3600 s (each of several 0.1 s)"
+        raise ValueError(f"a scene must {must}, got {rate_hz} Hz and {duration_s} s")
     if not isinstance(rng, np.random.Generator):
         as_rng(rng)
         rng = np.random.default_rng([rng, *name.encode()])
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
-    return Recording(_join_scenes(parts, time_s, rng), rate_hz, "-".join(parts))
+    if len(parts) == 1:  # one alone has no joints
+        samples = SCENES[parts[0]](time_s, rng)
+    else:
+        made = []
+        for part, own in zip(parts, np.array_split(time_s, len(parts)), strict=True):
+            n, joint = len(own), round(JOINT_S / (own[1] - own[0]))
+            rise = np.minimum(1.0, np.arange(n) / min(joint, n // 2))
+            ends = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * rise[::-1]))
+            made.append(SCENES[part](own - own[0], rng) * ends)
+        samples = np.concatenate(made, axis=1)
+    return Recording(samples, rate_hz, "-".join(parts))
 
 
 JOINT_S = 0.01  # Rise and fall of each of several scenes that follow one another
-
-
-def split_scene(name: str) -> tuple[str, ...]:
-    """Split a name into those of the scenes that follow one another."""
-    return tuple(check_name(part, SCENES, "scene") for part in str(name).split("+"))
-
-
-def _join_scenes(parts: Sequence[str], time_s: Samples, rng: np.random.Generator) -> Samples:
-    """Make scenes that follow one another in equal shares of a time; one alone has no joints."""
-    if len(parts) == 1:
-        return SCENES[parts[0]](time_s, rng)
-    made = []
-    for part, own in zip(parts, np.array_split(time_s, len(parts)), strict=True):
-        n, joint = len(own), round(JOINT_S / (own[1] - own[0]))
-        rise = np.minimum(1.0, np.arange(n) / min(joint, n // 2))
-        ends = 0.25 * (1 - np.cos(np.pi * rise)) * (1 - np.cos(np.pi * rise[::-1]))
-        made.append(SCENES[part](own - own[0], rng) * ends)
-    return np.concatenate(made, axis=1)
 
 
 def bumps(time_s: Samples, rng: np.random.Generator) -> Samples:
@@ -145,9 +135,8 @@ def hard_taps(time_s: Samples, rng: np.random.Generator) -> Samples:
 def constrained_drag(time_s: Samples, rng: np.random.Generator) -> Samples:
     """Drag in a guide that lets the tool move along one line only."""
     # Micro-contacts fill the band above the grain's own frequencies, as in the free drag.
-    along = _roughness(time_s, _strokes(time_s, rng), rng) + 0.3 * _coloured(
-        time_s, rng, low_hz=30.0, high_hz=1500.0
-    )
+    along = _roughness(time_s, _strokes(time_s, rng), rng)
+    along = along + 0.3 * _coloured(time_s, rng, low_hz=30.0, high_hz=1500.0)
     across = np.array([_roughness(time_s, _strokes(time_s, rng), rng) for _ in range(3)])
     line = np.array([0.5, 0.7, 0.51])
     return (

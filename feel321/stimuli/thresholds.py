@@ -149,12 +149,9 @@ def felt_level(
 
 
 def loudest_levels(
-    acceleration: Samples,
-    rate_hz: float,
-    thresholds: Iterable[str] = (CONTACTOR,),
-    *,
-    shift_db: Callable[[Samples], Samples] | None = None,
-) -> dict[str, float]:
+    acceleration: Samples, rate_hz: float, thresholds: Iterable[str] = (CONTACTOR,),
+    *, shift_db: Callable[[Samples], Samples] | None = None,
+) -> dict[str, float]:  # fmt: skip
     """Largest root mean square in any 200 ms, 20 to 1000 Hz, as a multiple of each threshold; axes add by energy.
 
     shift_db: how far a person's own threshold lies above each of these, by frequency in Hz.
@@ -180,9 +177,8 @@ def loudest_levels(
         np.square(weighted, out=weighted)
         energy = weighted[0] if len(weighted) == 1 else weighted.sum(axis=0)
         np.cumsum(energy, out=summed[1:])
-        most = max(
-            np.subtract(summed[window:], summed[:-window], out=energy[window - 1 :]).max(), 0.0
-        )
+        inside = np.subtract(summed[window:], summed[:-window], out=energy[window - 1 :])
+        most = max(inside.max(), 0.0)
         levels[name] = float(np.sqrt(most / window))
     return levels
 
@@ -238,9 +234,8 @@ def _weigh(frequency_hz: Samples, *, threshold: str, edge_octaves: float = 0.0) 
     weights = np.zeros_like(frequency_hz)
     beyond = np.full_like(frequency_hz, np.inf)
     above = frequency_hz > 0
-    beyond[above] = np.maximum(
-        np.log2(LOWEST_HZ / frequency_hz[above]), np.log2(frequency_hz[above] / HIGHEST_HZ)
-    )
+    own = frequency_hz[above]
+    beyond[above] = np.maximum(np.log2(LOWEST_HZ / own), np.log2(own / HIGHEST_HZ))
     felt = beyond <= edge_octaves * (1 - 1e-12)
     weights[felt] = np.sqrt(2) / acceleration_threshold(frequency_hz[felt], threshold=threshold)
     if edge_octaves:

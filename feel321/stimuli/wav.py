@@ -77,26 +77,22 @@ def encode_wav(samples: ArrayLike, rate_hz: float) -> bytes:
 
     rate = check_rate(rate_hz)
     if rate != int(rate) or rate >= 2**32:
-        raise ValueError(
-            f"the rate in a WAV header must be a whole number below 2**32, got {rate!r} Hz"
-        )
+        got = f"got {rate!r} Hz"
+        raise ValueError(f"the rate in a WAV header must be a whole number below 2**32, {got}")
     values = coerce_real(samples, "samples")
     if values.ndim not in {1, 2} or values.size == 0:
-        raise ValueError(
-            f"samples must have the shape (n,) or (channels, n), not empty; got {values.shape}"
-        )
+        got = f"got {values.shape}"
+        raise ValueError(f"samples must have the shape (n,) or (channels, n), not empty; {got}")
     check_finite(values, "samples")
     with np.errstate(over="ignore"):
         frames = values.T.astype(np.float32)
     if not np.isfinite(frames).all():
-        raise ValueError(
-            f"samples must fit into float32 (3.4e38), got a peak of {np.abs(values).max():g}"
-        )
+        got = f"got a peak of {np.abs(values).max():g}"
+        raise ValueError(f"samples must fit into float32 (3.4e38), {got}")
     frames = np.ascontiguousarray(frames)
     if rate * frames.dtype.itemsize * (frames.shape[1] if frames.ndim > 1 else 1) >= 2**32:
-        raise ValueError(
-            f"the bytes of a second in a WAV header must be below 2**32, got a rate of {rate:g} Hz; lower it"
-        )
+        got = f"got a rate of {rate:g} Hz; lower it"
+        raise ValueError(f"the bytes of a second in a WAV header must be below 2**32, {got}")
     content = io.BytesIO()
     wavfile.write(content, int(rate), frames)
     return content.getvalue()
@@ -135,12 +131,9 @@ def read_wav(path: PathLike) -> tuple[Samples, int]:
             rate, frames = wavfile.read(source)
         except OSError:
             raise
-        except (
-            Exception
-        ) as error:  # at damaged chunks scipy raises anything, even UnboundLocalError
-            raise ValueError(
-                f"{source.name}: has chunks that cannot be read ({error}); save it again as PCM or float"
-            ) from error
+        except Exception as error:  # at damaged chunks scipy raises anything: UnboundLocalError
+            why = f"has chunks that cannot be read ({error})"
+            raise ValueError(f"{source.name}: {why}; save it again as PCM or float") from error
     fractions = frames.astype(np.float64)
     if frames.dtype.kind != "f":
         full_scale = np.iinfo(frames.dtype).max + 1
@@ -156,16 +149,14 @@ def read_wav_header(path: Path) -> WavHeader:
             header = _scan_chunks(file, path.stat().st_size)
         except struct.error:
             raise ValueError("the file ends inside its header; copy or export it again") from None
-        promised, present = (
-            n // header.frame_bytes for n in (header.data_bytes, header.present_bytes)
-        )
+        both = header.data_bytes, header.present_bytes
+        promised, present = (n // header.frame_bytes for n in both)
         if promised == 0:
             raise ValueError("the WAV file holds no samples; record or export it again")
         if header.present_bytes < header.data_bytes:
-            raise ValueError(
-                f"the header promises {promised} samples, the file holds {present}; "
-                "it is truncated or its header is wrong, copy or export it again"
-            )
+            got = f"the header promises {promised} samples, the file holds {present}"
+            why = "it is truncated or its header is wrong"
+            raise ValueError(f"{got}; {why}, copy or export it again")
         intake.check_samples(promised, header.channels, header.rate_hz)
     return header
 
@@ -173,9 +164,8 @@ def read_wav_header(path: Path) -> WavHeader:
 def _scan_chunks(file: BinaryIO, size: int) -> WavHeader:
     container, _, kind = struct.unpack("<4sI4s", file.read(12))
     if container not in BYTE_ORDERS or kind != b"WAVE":
-        raise ValueError(
-            f"the file must begin with RIFF and WAVE, got {container!r}; export it as WAV"
-        )
+        got = f"got {container!r}; export it as WAV"
+        raise ValueError(f"the file must begin with RIFF and WAVE, {got}")
     order = BYTE_ORDERS[container]
     layout: tuple[int, int, int, bool] | None = None
     while True:
@@ -196,16 +186,13 @@ def _parse_format(body: bytes, order: str) -> tuple[int, int, int, bool]:
     if coding == EXTENSIBLE:
         coding = struct.unpack(f"{order}H", body[24:26])[0]
     if 0 in {channels, rate, frame_bytes}:
-        raise ValueError(
-            f"channels, rate and frame size must be above 0, got {channels}, {rate} Hz, {frame_bytes} bytes"
-        )
+        got = f"got {channels}, {rate} Hz, {frame_bytes} bytes"
+        raise ValueError(f"channels, rate and frame size must be above 0, {got}")
     if coding not in SAMPLE_BITS or bits not in SAMPLE_BITS[coding]:
-        raise ValueError(
-            f"the WAV coding 0x{coding:04x} of {bits} bits is not read; save as PCM or float"
-        )
+        do = "save as PCM or float"
+        raise ValueError(f"the WAV coding 0x{coding:04x} of {bits} bits is not read; {do}")
     if frame_bytes != channels * -(-bits // 8):
-        raise ValueError(
-            f"the header gives frames of {frame_bytes} bytes for {channels} channels of {bits} bits; "
-            "it is wrong, copy or export the file again"
-        )
+        got = f"frames of {frame_bytes} bytes for {channels} channels of {bits} bits"
+        do = "it is wrong, copy or export the file again"
+        raise ValueError(f"the header gives {got}; {do}")
     return channels, rate, frame_bytes, coding == IEEE_FLOAT

@@ -33,9 +33,9 @@ from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.checkpoints import declaring
 from feel321.study.folder import StudyFolder, require_study
 from feel321.study.freeze import list_info, make_standing
-from feel321.study.people import list_progress, list_remarks, write_roster
-from feel321.study.persons.answers import ANSWERS_FILE, write_answers
-from feel321.study.persons.withdrawal import closing_results
+from feel321.study.participants.answers import ANSWERS_FILE, write_answers
+from feel321.study.participants.roster import list_progress, list_remarks, write_roster
+from feel321.study.participants.withdrawal import closing_results
 from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
 from feel321.study.settings.read import find_changes, make_recipe, read_settings
 from feel321.study.settings.recordings import list_origins, open_recordings, try_recordings
@@ -228,9 +228,8 @@ def measure_rotations(
         for entry in settings.recordings
     }
     effort = DECLARED if set(wanted) & set(ROTATIONS) else 1
-    seed = settings.study.seed
     return compute_rotations(
-        recordings, stimuli, recipe=recipe, seed=seed, effort=effort, copies=copies
+        recordings, stimuli, recipe=recipe, seed=settings.study.seed, effort=effort, copies=copies
     )
 
 

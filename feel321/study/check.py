@@ -165,8 +165,7 @@ def _examine(
         elif recipe is None:
             own = sets.Facts.find(recording)
         else:
-            known = history.get(source.name, ())
-            own = sets.survey_recording(recording, known, recipe=recipe)
+            own = sets.survey_recording(recording, history.get(source.name, ()), recipe=recipe)
             if own.fault:
                 faults.append(own.fault)
                 own = sets.Facts.find(recording)

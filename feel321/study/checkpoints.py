@@ -8,8 +8,6 @@ where a remote has more of that branch than the folder, a backup was restored, a
 on as another branch. Whoever can write to the folder can make the repository anew; only a remote shows that.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import socket
@@ -19,16 +17,12 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from threading import Thread
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from feel321.files import create_text, make_folder, sync_folder, temporary_folder
-from feel321.study.folder import Seal
-from feel321.study.session.journal import SESSION_FILE, digest, list_journals, utc_now
+from feel321.study.folder import Seal, StudyFolder
+from feel321.study.session.journal import SESSION_FILE, Clock, digest, list_journals, utc_now
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
-
-if TYPE_CHECKING:
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock
 
 T = TypeVar("T")
 
@@ -157,7 +151,8 @@ def read_own(study: StudyFolder) -> Own:
             config = repo.get_config()
             for section in (one for one in config.sections() if one[0] == b"remote"):
                 refs = repo.refs.subkeys(b"refs/remotes/" + section[1])  # type: ignore[arg-type]
-                own.pushed[config.get(section, b"url").decode()] = {ref.decode() for ref in refs}
+                there = own.pushed.setdefault(config.get(section, b"url").decode(), set())
+                there.update(ref.decode() for ref in refs)  # a URL may stand there twice
             tip = repo.refs.as_dict().get(b"HEAD")  # type: ignore[call-overload]
             return own._replace(history=_read_history(repo, tip))
     except Exception as error:  # noqa: BLE001 - what is damaged raises anything

@@ -78,7 +78,7 @@ class Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def heed_signals() -> Iterator[None]:
+def handle_signals() -> Iterator[None]:
     """Make the signals to end do what Ctrl-C does, unless they are ignored (nohup) or handled already."""
 
     def stop(number: int, _frame: object) -> NoReturn:
@@ -107,7 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     call = Call((*words, *given[end:]), **switches)
     token = CALL.set(call)
     try:
-        with heed_signals(), warnings.catch_warnings():
+        with handle_signals(), warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: warn(str(message))
             return _run_verb(call)
     finally:
@@ -410,10 +410,10 @@ def describe_program() -> str:
     completion = ("--install-completion", "Let this shell complete verbs and options.")
     options = [("--version", "Show the version."), completion, *EVERYWHERE]
     lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(ABOUT)]
-    lines += ["", "Options:", *_lay_rows(options)]
+    lines += ["", "Options:", *_format_rows(options)]
     for title, verbs in GROUPS.items():
         rows = [(name, read_doc(name).partition("\n\n")[0]) for name in verbs]
-        lines += ["", f"{title}:", *_lay_rows(rows)]
+        lines += ["", f"{title}:", *_format_rows(rows)]
     return "\n".join([*lines, "", "  Begin with: feel321 demo"])
 
 
@@ -431,7 +431,7 @@ def describe_verb(verb: str) -> str:
     lines = [f"Usage: feel321 {verb} {' '.join([*places, '[OPTIONS]'])}"]
     for paragraph in paragraphs:
         lines += ["", *_fill(paragraph)]
-    lines += ["", "Options:", *_lay_rows([*rows, *EVERYWHERE])]
+    lines += ["", "Options:", *_format_rows([*rows, *EVERYWHERE])]
     return "\n".join([*lines, "", *(f"  {line}" for line in examples.splitlines())])
 
 
@@ -448,8 +448,8 @@ def _describe_option(argument: Argument) -> tuple[str, str]:
     return f"{names} {kind}".rstrip(), meaning
 
 
-def _lay_rows(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
-    """Lay names beside their meanings, in two columns."""
+def _format_rows(rows: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Format names and their meanings in two columns."""
     column = min(max(len(name) for name, _ in rows) + 4, COLUMN)
     for name, text in rows:
         begin = f"  {name}"

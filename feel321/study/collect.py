@@ -5,30 +5,22 @@ whole or absent, a journal comes after all files that it names, and a second run
 at any point, the same call continues. Sources are only read.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import people
-from feel321.study.folder import list_delivered, require_study
-from feel321.study.numbers import find_doubles, hold_numbers, read_holder, read_holders
-from feel321.study.persons import withdrawal
-from feel321.study.persons.answers import PERSONAL_FILE, read_personal
+from feel321.study.folder import StudyFolder, list_delivered, require_study
+from feel321.study.participants import roster, withdrawal
+from feel321.study.participants.answers import PERSONAL_FILE, read_personal
+from feel321.study.participants.numbers import find_doubles, hold_numbers, read_holder, read_holders
 from feel321.study.session import journal as journals
-from feel321.study.session.journal import digest
+from feel321.study.session.journal import Clock, digest
 from feel321.study.session.opening import find_differences
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
 from feel321.study.settings.read import make_design, make_terms, read_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock
 
 COLLECT_LOCK = ".collect.lock"
 
@@ -110,15 +102,15 @@ def _read_terms(study: StudyFolder) -> Mapping[str, Any]:
 def _take_withdrawal(study: StudyFolder, there: Path, collected: Collected, *, now: Clock) -> bool:
     """Withdraw here who withdrew elsewhere; whether the participant withdrew at all."""
     here = study.sessions / there.name
-    stone, own = people.read_tombstone(there), people.read_tombstone(here)
-    if own is not None and own.state == people.REMOVED:
+    stone, own = roster.read_tombstone(there), roster.read_tombstone(here)
+    if own is not None and own.state == roster.REMOVED:
         if stone is None:
             text = f"participant withdrew, see {here}; remove the data there too: feel321 withdraw"
             collected.notes.append(f"{there}: {text}")
         return True
     if stone is None:
         return own is not None
-    if stone.state != people.REMOVED:
+    if stone.state != roster.REMOVED:
         raise ValueError(f"{there}: a withdrawal was interrupted; finish it there first")
     if there.name not in {folder.name for folder in study.participants}:
         collected.copy(here / TOMBSTONE_FILE, (there / TOMBSTONE_FILE).read_bytes())

@@ -45,7 +45,7 @@ class Laboratory(OpenStudy):
         """
         from feel321.study import freeze
         from feel321.study.session.opening import FROZEN_FILE
-        from feel321.study.terminal import lay_facts
+        from feel321.study.terminal import format_facts
 
         folder = self.folder
         if show:
@@ -60,8 +60,7 @@ class Laboratory(OpenStudy):
         if frozen is not None:
             lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
         if frozen is not None and show:
-            own = {"hypotheses": frozen.hypotheses, "settings": frozen.settings}
-            lines += lay_facts(own)
+            lines += format_facts({"hypotheses": frozen.hypotheses, "settings": frozen.settings})
         if changes:
             lines += ["changed:", *(f"  {one}" for one in changes.values())]
         facts = {"frozen": frozen and asdict(frozen), "changes": [*changes.values()]}
@@ -95,15 +94,15 @@ class Laboratory(OpenStudy):
         device : str, optional
             Instead of the rig's; 'file' writes WAV files.
         accept_rig : bool
-            Resume on a changed rig or certificate; noted.
+            Resume although the rig or its certificate has changed; the journal records it.
         lsl : bool
             Send onsets to the lab streaming layer.
         rehearse : bool
-            Stored in rehearsals/ and never analysed.
+            Rehearse: the session is stored in rehearsals/ and never analysed.
         simulate_participant : bool
             A simulated participant presses keys.
         seed : int, optional
-            Of --simulate-participant; the study's by default.
+            Seed of the simulated participant; the study's by default.
         """
         if seed is not None and not simulate_participant:
             raise UsageError("--seed needs --simulate-participant; people have no seed")
@@ -161,7 +160,7 @@ class Laboratory(OpenStudy):
     def status(
         self, *, notes: bool = False, watch: options.Page | None = None, rehearsals: bool = False
     ) -> Status:
-        """Show the progress of every participant. Blind.
+        """Show the progress of every participant, without naming a condition.
 
         Example: feel321 status my-study
                  feel321 status my-study --watch sessions.html
@@ -171,7 +170,7 @@ class Laboratory(OpenStudy):
         notes : bool
             Also the experimenter's notes.
         watch : str or path, optional
-            Keep a blind page until Ctrl-C.
+            Write the progress to a page, renewed until Ctrl-C.
         rehearsals : bool
             Rehearsals instead of sessions.
         """
@@ -182,7 +181,7 @@ class Laboratory(OpenStudy):
         if watch is not None:
             if notes:
                 raise UsageError("--watch does not go with --notes; leave one out")
-            from feel321.study.persons.withdrawal import recording_output
+            from feel321.study.participants.withdrawal import recording_output
 
             page = as_path(watch)
             with recording_output(folder, "status", page, now=self.now):
@@ -211,7 +210,7 @@ class Laboratory(OpenStudy):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.persons.withdrawal import take_note
+        from feel321.study.participants.withdrawal import take_note
 
         notice = take_note(self.choose(rehearsals), participant, text, now=self.now)
         if notice:
@@ -272,7 +271,7 @@ class Laboratory(OpenStudy):
         is_sure : bool
             Do not ask.
         """
-        from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+        from feel321.study.participants.withdrawal import release_participant, withdraw_participant
         from feel321.study.terminal import ask, is_answerable
 
         folder, facts = self.folder, {"participant": participant}

@@ -4,22 +4,15 @@ A listener of the journal: each playback becomes one marker once it is on the di
 taken from the session's clock to that of LSL.
 """
 
-from __future__ import annotations
-
 import json
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from feel321.study.session.events import PartPlayed, SurfaceStroked
-from feel321.study.session.journal import digest
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.study.session.journal import Journal, Record
+from feel321.study.session.journal import Journal, Record, digest
 
 SENT = {PartPlayed.event, SurfaceStroked.event}  # events that become a marker
 FIELDS = ("trial", "attempt", "part", "completed")  # of the event, in its marker

@@ -389,8 +389,17 @@ class StudyPower(results.PageResult):
             "planted": task.effects.to_dict("records"), "truth": asdict(own.truth), "seed": self.seed,
             "notes": list(dict.fromkeys([*task.notes, *plan.notes])),
         }  # fmt: skip
+        steps = task.effects.drop_duplicates("metric").set_index("metric")
+        slope_sds = [
+            (
+                f"slopes of {whose} on {format_name(name)}, per {steps['per'][name]}",
+                sd * steps["size"][name],
+            )
+            for whose, every in (("people", own.slope_sds), ("recordings", own.recording_slope_sds))
+            for name, sd in zip(own.metrics, every, strict=True)
+        ]
         values = {
-            "content": content, "own": own.recordings, "shown": plan.shown.design,
+            "content": content, "slope_sds": slope_sds, "own": own.recordings, "shown": plan.shown.design,
             "step": self._find_row(plan.hypothesis),
             "hypotheses": [self._find_row(one) for one in plan.shown.design.hypotheses],
             "power": planning.format_power, "simulated": planning.format_simulated, "units": planning.describe_units,

@@ -26,13 +26,7 @@ from feel321.protocols.threshold import SECOND, Matching
 from feel321.protocols.trial import MATCHING, Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
-from feel321.study.session.events import (
-    PartPlayed,
-    SessionBegun,
-    SessionSuperseded,
-    TrialRated,
-    TrialShown,
-)
+from feel321.study.session import events
 from feel321.study.session.journal import Records, list_journals, name_journal
 from feel321.study.session.plan import Dossier, Plan, list_by_code, read_as_written
 from feel321.study.thresholds import find_own_levels
@@ -43,7 +37,7 @@ MATCH_COLUMNS = (
 )  # fmt: skip
 
 _BY_TRIAL = itemgetter("trial")
-_KINDS = {kind.event for kind in (TrialShown, PartPlayed, TrialRated)}
+_KINDS = {kind.event for kind in (events.TrialShown, events.PartPlayed, events.TrialRated)}
 
 
 def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
@@ -88,7 +82,7 @@ def _describe_stimulus(stimulus: Stimulus) -> dict[str, Any]:
     return {name: getattr(stimulus, name) for name in names}
 
 
-def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str]:
+def find_misplaced(path: Path, header: events.SessionBegun, plan: Plan) -> Iterator[str]:
     """Find whether a journal was written elsewhere, or to another plan than the one beside it."""
     if (header.participant, name_journal(header.session)) != (plan.participant, path.name):
         yield f": is session {header.session} of {header.participant!r}, it was copied here"
@@ -97,19 +91,19 @@ def find_misplaced(path: Path, header: SessionBegun, plan: Plan) -> Iterator[str
 
 
 def _decode_judgements(
-    header: SessionBegun, plan: Plan, records: Records, *, path: Path
+    header: events.SessionBegun, plan: Plan, records: Records, *, path: Path
 ) -> Iterator[dict[str, Any]]:
     """Decode the completed judgements of a journal, as they were made; stimuli keep their codes."""
     trials = {trial.number: trial for trial in plan.trials}
-    superseded = records.has(SessionSuperseded)
-    played: list[PartPlayed] = []
+    superseded = records.has(events.SessionSuperseded)
+    played: list[events.PartPlayed] = []
     for record in (one for one in records if one.event in _KINDS):
         match record.content:
-            case TrialShown():
+            case events.TrialShown():
                 played = []
-            case PartPlayed() as part:
+            case events.PartPlayed() as part:
                 played.append(part)
-            case TrialRated() as rated if (trial := trials[rated.trial]).phase == "main":
+            case events.TrialRated() as rated if (trial := trials[rated.trial]).phase == "main":
                 felt = {part.part: part for part in played if part.completed}
                 if missing := [one.part for one in trial.judgements if one.part not in felt]:
                     named = ", ".join(dict.fromkeys(missing))
@@ -129,7 +123,7 @@ def _decode_judgements(
 
 
 def _judge(
-    trial: Trial, rated: TrialRated, felt: Mapping[str, PartPlayed]
+    trial: Trial, rated: events.TrialRated, felt: Mapping[str, events.PartPlayed]
 ) -> Iterator[dict[str, Any]]:
     """Describe each judgement of a trial, what the hand got of its playback included."""
     points = score_trial(trial, rated.values)
@@ -173,7 +167,7 @@ def list_matches(dossier: Dossier, stimuli: StimulusSet) -> Iterator[dict[str, A
         return
     matching, by_code = Matching(plan.matching, plan.trials), list_by_code(stimuli, seed=plan.seed)
     trials = {trial.number: trial for trial in plan.trials if trial.phase == MATCHING}
-    for rated in dossier.records.find(TrialRated):
+    for rated in dossier.records.find(events.TrialRated):
         if rated.trial not in trials or rated.rejected:
             continue
         stimulus = by_code[trials[rated.trial].judgements[0].stimulus_id]

@@ -12,7 +12,7 @@ from feel321.doors import as_path, follow, name_of
 from feel321.jobs import as_workers
 from feel321.study.folder import Outcome, StudyFolder, UsageError, require_study
 from feel321.study.options import AS_IT_SAYS
-from feel321.study.terminal import cap, dump_json, lay_facts, wants_bar, warn
+from feel321.study.terminal import cap, dump_json, format_facts, wants_bar, warn
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
@@ -91,7 +91,7 @@ def reduce(
     write_wav(target, reduced, round(read.rate_hz))
     write_text(sidecar, dump_json(facts) + "\n")
     done = f"{read.name} through {name_of(reducer)}, {read.n_samples} samples, m/s^2"
-    return Outcome(facts, [f"{target}: {done}", *lay_facts(facts)])
+    return Outcome(facts, [f"{target}: {done}", *format_facts(facts)])
 
 
 def match(
@@ -139,7 +139,7 @@ def match(
         facts[name] = measure(ready.acceleration, samples, ready.rate_hz)
     reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
     faults = [f"{read.name}: {reasons}"] if reasons else []
-    return Outcome(facts, [*lay_facts(facts)], faults=faults)
+    return Outcome(facts, [*format_facts(facts)], faults=faults)
 
 
 def _read(source: options.Reading, path: Path) -> Recording:
@@ -285,17 +285,17 @@ def tradeoff(  # noqa: PLR0913 - one per option
     *places : str or path
         A study, recordings, or both.
     scenes : bool
-        Also the bundled scenes.
+        Include the bundled scenes.
     thorough : bool
         Whole recordings, 72 mountings, hard scenes.
     online : bool
-        The reducer runs while the vibration is made.
+        Only reducers that run while the vibration is made.
     latency_ms : float, optional
-        Longest delay, with device. [default: 45]
+        Longest delay of reducer, block and device together. [default: 45]
     mounting : str
-        Mountings that advice is for.
+        Mountings of the sensor that the advice must hold for.
     tolerance_db : float, optional
-        Near enough to the best. [default: 1]
+        How far from the best still suffices, in dB of energy. [default: 1]
     out : str or path, optional
         Folder of the results.
     seed : int, optional
@@ -311,7 +311,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
     from feel321.analysis.tradeoff.page import advise_tradeoff
     from feel321.stimuli.reducers.registry import REDUCERS
     from feel321.study.analyze import find_ratings, gather_recordings
-    from feel321.study.persons.withdrawal import recording_output
+    from feel321.study.participants.withdrawal import recording_output
     from feel321.study.session.journal import utc_now
     from feel321.study.settings.read import list_for_tradeoff, read_settings
 

@@ -33,7 +33,7 @@ from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
 from feel321.study.observer.model import Casting, find_person, make_model
 from feel321.study.observer.simulated import Participant
-from feel321.study.people import make_progress
+from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place
 from feel321.study.sessions import Room, lead_session, list_rig_problems, plan_sessions
@@ -218,8 +218,7 @@ def _get_rig(room: Room) -> Rig:
 def identify_lab(room: Room) -> dict[str, Any]:
     """Describe what a session depends on besides its plan, for the header of its journal."""
     who = room.casting.identity if room.casting else {"simulated": False}
-    rig = identify(_get_rig(room))
-    presenter = {**who, "rehearsal": room.study.is_rehearsal, "rig": rig}
+    presenter = {**who, "rehearsal": room.study.is_rehearsal, "rig": identify(_get_rig(room))}
     calibration = room.certificate.identity if room.certificate else UNCALIBRATED
     return read.make_identity(room.settings, room.study.path, presenter, calibration=calibration)
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
-from feel321.study.numbers import Station, plan_participants
-from feel321.study.persons.answers import make_keeper
+from feel321.study.participants.answers import make_keeper
+from feel321.study.participants.numbers import Station, plan_participants
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.opening import open_session
@@ -57,8 +57,7 @@ class Room:
 def open_room(study: StudyFolder, settings: Settings, stimuli: StimulusSet, *, now: Clock) -> Room:
     """Open the shared surroundings of a study's sessions."""
     scales = make_scales(read_study_texts(settings, study.path))
-    stale = settings.session.stale
-    return Room(study, settings, stimuli, scales, stale, now)
+    return Room(study, settings, stimuli, scales, settings.session.stale, now)
 
 
 def read_room(study: StudyFolder, *, now: Clock) -> Room:

@@ -13,8 +13,8 @@ from feel321.study.checkpoints import note_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.observer.model import Casting, Touch, expect_rating, find_person, make_model
 from feel321.study.observer.simulated import SimulatedObserver
-from feel321.study.people import write_roster
-from feel321.study.persons.answers import write_answers
+from feel321.study.participants.answers import write_answers
+from feel321.study.participants.roster import write_roster
 from feel321.study.ratings import write_matches, write_ratings
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import Clock, Journal, list_journals, read_journal

@@ -21,16 +21,8 @@ from feel321.protocols.tasks import find_other, is_as_expected
 from feel321.records import Result
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import minutes
-from feel321.study.people import LOCK_FILE, Progress, describe_rigs, make_progress
-from feel321.study.session.events import (
-    DeviceFailed,
-    PageRead,
-    PartPlayed,
-    SessionFinished,
-    SessionReleased,
-    TrialRated,
-    find_notices,
-)
+from feel321.study.participants.roster import LOCK_FILE, Progress, describe_rigs, make_progress
+from feel321.study.session import events
 from feel321.study.session.journal import Records
 from feel321.study.session.plan import TOMBSTONE_FILE, Dossier, Plan, read_as_written
 from feel321.study.terminal import echo
@@ -168,10 +160,10 @@ class Watch:
         calls = [
             one.event
             for one in dossier.records
-            if one.event == DeviceFailed.event
-            or (one.event == PageRead.event and one.data.get("key") == "call_us")
+            if one.event == events.DeviceFailed.event
+            or (one.event == events.PageRead.event and one.data.get("key") == "call_us")
         ]
-        if own.state != "released" and calls[-1:] == [DeviceFailed.event]:
+        if own.state != "released" and calls[-1:] == [events.DeviceFailed.event]:
             return replace(own, state=CALLED)
         is_left = own.state == "running" and not is_held(folder / LOCK_FILE)
         return replace(own, state="aborted") if is_left else own
@@ -232,13 +224,13 @@ def _derive(dossier: Dossier) -> tuple[Progress, list[Trial]]:
     own = make_progress(dossier)
     trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
     with read_as_written(dossier.newest):
-        found = dossier.records.find(TrialRated)
+        found = dossier.records.find(events.TrialRated)
         rated = [one for one in found if one.trial in trials and not one.rejected]
         warnings = tuple(_find_warnings(dossier, rated))
     return replace(own, warnings=warnings), [trials[one.trial] for one in rated]
 
 
-def _find_warnings(dossier: Dossier, rated: Sequence[TrialRated]) -> Iterator[str]:
+def _find_warnings(dossier: Dossier, rated: Sequence[events.TrialRated]) -> Iterator[str]:
     if dossier.chains:
         yield from find_flags(dossier.chains[-1])
         yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
@@ -256,13 +248,13 @@ def find_flags(chain: Chain) -> Iterator[str]:
         yield f"{len(chain.torn)} bytes of an unfinished line, moved aside on resuming"
     counts = Counter(flag for record in chain.records for flag in record.data.get("flags", ()))
     yield from (f"{count} x {flag.replace('_', ' ')}" for flag, count in counts.items())
-    if any(page.key == "training_failed" for page in chain.records.find(PageRead)):
+    if any(page.key == "training_failed" for page in chain.records.find(events.PageRead)):
         yield "training not passed"
-    if calls := list(chain.records.find(DeviceFailed)):
+    if calls := list(chain.records.find(events.DeviceFailed)):
         yield f"experimenter called: {len(calls)} x"
         yield f"{CALLED_FOR}{calls[-1].reason}"
     noticed = Records(record for record in chain.records if record.data.get("notice"))
-    for said in find_notices(noticed.find(PartPlayed)).values():
+    for said in events.find_notices(noticed.find(events.PartPlayed)).values():
         yield f"{len(said)} x {said[0]}"
 
 
@@ -285,8 +277,8 @@ def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> Balanc
         Evenness(task, what, *measure_balance(sequences.values()))
         for (task, what), sequences in groups.items()
     ]
-    over = [one.records for one, _ in run if one.records.has(SessionFinished)]
-    finished = sum(not records.has(SessionReleased) for records in over)
+    over = [one.records for one, _ in run if one.records.has(events.SessionFinished)]
+    finished = sum(not records.has(events.SessionReleased) for records in over)
     return BalanceAsRun(simulated, len(run), finished, tuple(evenness))
 
 

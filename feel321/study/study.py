@@ -78,7 +78,7 @@ class Study(Laboratory):
         like : str, optional
             A ready study, such as `landin2010`, one that was published, or `generated`, a design.
         methods : bool
-            Whether it gets an example of every kind of method of your own.
+            Whether to add an example of every kind of method of your own.
         """
         made = create_study(as_path(path), bundled=like)
         if methods:
@@ -115,7 +115,7 @@ class Study(Laboratory):
         method : str, optional
             Your own method instead: mylab:my321, methods/my321.py:my321, or its table's name.
         kind : str, optional
-            Guessed if left out.
+            What the method is; found out if left out.
         """
         from feel321.study.check import check_own_method, check_study
         from feel321.study.freeze import describe_frozen, find_faults
@@ -130,7 +130,7 @@ class Study(Laboratory):
         return replace(found, warnings=(*found.warnings, *faults), notes=(*found.notes, *frozen))
 
     def build(self, workers: options.Crew = 1, *, scheduler: options.Scheduler = "") -> StimulusSet:
-        """Build the stimulus set; only what changed is made again.
+        """Build the stimulus set; only what changed is rebuilt.
 
         Example: feel321 build my-study --workers 2
 
@@ -202,12 +202,12 @@ class Study(Laboratory):
         seed : int, optional
             Random seed; the study's by default.
         out : str or path, optional
-            Where to, instead of power/.
+            Folder of the results, instead of power/.
         """
         from feel321.analysis.report.folder import check_target
         from feel321.study import power
         from feel321.study.analyze import measure_declared
-        from feel321.study.persons.withdrawal import recording_output
+        from feel321.study.participants.withdrawal import recording_output
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
@@ -242,7 +242,7 @@ class Study(Laboratory):
         Plays sweeps on one coil after another, recorded by the sensor of rig.toml; proposes the band and the gain of
         each filter, says what that costs in level, and asks; verifies the filters by playing through them, and stores a
         certificate, of which run uses the newest that is valid. Ctrl-C stops; coils that are done are kept. The exit
-        code is 1 if the limits of [calibration] in rig.toml are not met; run then does not use the certificate.
+        code is 1 if the limits of [calibration] in rig.toml are not met; run does not use such a certificate.
 
         Example: feel321 calibrate my-study
 
@@ -251,9 +251,9 @@ class Study(Laboratory):
         device : str, optional
             Device instead of the rig's: its name, or a unique part of it.
         manual : sequence of str
-            Type a gain instead of measuring, in m/s² at full scale; once for each.
+            Gain of an actuator in m/s² at full scale, instead of measuring; once for each.
         redesign : bool
-            From the stored sweeps, without playing.
+            Design the filters anew from the stored sweeps, without playing.
         """
         from feel321.study.actuator.verbs import calibrate_rig
 
@@ -262,9 +262,10 @@ class Study(Laboratory):
     def doctor(self, *, device: options.Name = None, seconds: options.Seconds = 5.0) -> Outcome:
         """Test the rig: list devices, measure latency and jitter, try each coil.
 
-        Plays quiet pulses on every actuator, through the same stream as in a session, and, with a sensor, a probe on
-        each coil: by name, what is dead, inverted, swapped, loose or too strong against the certificate or rig.toml, a
-        wrong rate, a missing channel, hum; the exit code is then 1. Without a study, --device names what to play on.
+        Plays quiet pulses on every actuator through the same stream as in a session and, with a sensor, a probe on
+        each coil. Reports coils that are dead, inverted, swapped, loose or too strong for the certificate or rig.toml,
+        a wrong rate, a missing channel, and hum; the exit code is then 1. Without a study, --device names what to play
+        on.
 
         Example: feel321 doctor my-study --seconds 10
 
@@ -304,7 +305,7 @@ class Study(Laboratory):
         manifest : str or path, optional
             The stimuli rated.  [default: the study's]
         out : str or path, optional
-            Where to, instead of report/.
+            Folder of the report, instead of report/.
         metrics : sequence of str
             A numeric manifest column to analyze; repeatable.  [default: as declared]
         draws : int, optional
@@ -312,7 +313,7 @@ class Study(Laboratory):
         """
         from feel321.study.analyze import analyze_study
         from feel321.study.export.dataset import write_methods
-        from feel321.study.persons.withdrawal import recording_output
+        from feel321.study.participants.withdrawal import recording_output
 
         if manifest is not None and ratings is None:
             raise UsageError("--manifest needs --ratings; give both, or --ratings alone in a study")
@@ -355,7 +356,7 @@ class Study(Laboratory):
         remotes : sequence of str
             A further git remote with checkpoints; repeatable.
         expect : str
-            Fail without this checkpoint.
+            Fail if this checkpoint is missing.
         rehearsals : bool
             Rehearsals instead of sessions.
         """
@@ -403,11 +404,11 @@ class Study(Laboratory):
         target : str or path
             The folder to write.
         simulated : bool
-            Simulated participants too, marked as such.
+            Include simulated participants, marked as such.
         for_r : bool
-            Write for R and JASP instead.
+            Write CSV files for R and JASP instead.
         """
-        from feel321.study.persons.withdrawal import recording_output
+        from feel321.study.participants.withdrawal import recording_output
 
         if for_r and simulated:
             raise UsageError("--simulated is for BIDS; leave it out with --r")
@@ -500,9 +501,9 @@ def new(
     folder : str or path, optional
         The folder of the study.
     study : str, optional
-        A ready study.
+        Start from this ready design.
     methods : bool
-        Also examples of your own methods, in methods/.
+        Add working examples of your own methods, in methods/.
     all_settings : bool
         Only print every setting.
     """

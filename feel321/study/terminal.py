@@ -29,7 +29,7 @@ def echo(text: object = "", *, err: bool = False, over: bool = False) -> None:
 
     over: the next one is printed over it. A terminal that was closed is no error where only a person would read it.
     """
-    line = clean_text(str(text), keep="\n\t")
+    line = clean_text(str(text), keep="\n\t\N{NO-BREAK SPACE}")
     if not err:
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
@@ -51,7 +51,7 @@ def cap(lines: Sequence[str], *, whole: str = WHOLE) -> list[str]:
     return [*lines[:MOST_LINES], *([f"and {left} more like these; {whole}"] if left > 0 else [])]
 
 
-def lay_facts(facts: Mapping[str, Any], indent: str = "") -> Iterator[str]:
+def format_facts(facts: Mapping[str, Any], indent: str = "") -> Iterator[str]:
     """Lay out facts for reading, a line each: those that JSON holds, without what is empty."""
     from feel321.records import to_json_value
 
@@ -60,7 +60,7 @@ def lay_facts(facts: Mapping[str, Any], indent: str = "") -> Iterator[str]:
         if several and isinstance(several[0], Mapping):
             for one in filter(None, several):
                 yield f"{indent}{name}:"
-                yield from lay_facts(one, f"{indent}  ")
+                yield from format_facts(one, f"{indent}  ")
         elif fact not in (None, "", (), []):
             shown = [f"{one:.5g}" if isinstance(one, float) else str(one) for one in several]
             yield f"{indent}{name} {', '.join(shown)}"

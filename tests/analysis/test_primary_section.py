@@ -15,6 +15,7 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import Influence, find_candidates
 from feel321.analysis.report import primary
+from feel321.analysis.report.primary import keep_steady
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
@@ -102,7 +103,7 @@ def test_a_direction_follows_the_sign_and_few_recordings_weaken_it(
     assert against == (way == "lower")
     assert ("points higher" in spectral) == (way == "higher")
     assert temporal.startswith("Realism: Whether temporal match predicts realism ratings is open.")
-    assert "With 4 recordings this is a hint rather than a result." in whole
+    assert "With 4 recordings this is a hint rather than a result. No" in whole
 
 
 @pytest.mark.usefixtures("quick")
@@ -247,3 +248,15 @@ def test_what_cannot_be_estimated_is_said_and_nothing_else(rows: pd.DataFrame, w
     assert line.startswith(start)
     assert line.endswith(why)
     assert all(math.isnan(row["low"]) for row in found.rows["slopes"])
+
+
+def test_no_metric_is_better_than_one_whose_verdict_a_single_unit_turns() -> None:
+    steady = {"metric": "a", "hinges_on": [], "better_than": ["b", "c"]}
+    unsteady = {"metric": "b", "hinges_on": ["recording oak"], "better_than": []}
+    assert keep_steady([steady, unsteady]) == [steady | {"better_than": ["c"]}, unsteady]
+
+
+def test_variants_without_any_interval_tell_nothing() -> None:
+    said = {known: render_words("robustness", turned=[], known=known)[0] for known in (True, False)}
+    assert said[True].endswith("tells the same as in the primary model.")
+    assert said[False].startswith("No slope can be estimated")

@@ -22,12 +22,12 @@ from scipy.stats import binom
 
 from feel321.analysis.agreement import intraclass
 from feel321.analysis.association import compare_metrics, correlate
+from feel321.analysis.classic import compare_dependent, p1401, repeated_measures_correlation
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.contrasts.compare import equivalence, profile_reducers
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
 from feel321.analysis.resampling import METHODS, Averages, Draws, fisher_z, measure_lean
-from feel321.analysis.standard import compare_dependent, p1401, repeated_measures_correlation
 from feel321.analysis.table.items import Items
 
 if TYPE_CHECKING:

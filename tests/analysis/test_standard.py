@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 from scipy.stats import chi2, pearsonr, spearmanr, t
 
-from feel321.analysis.standard import (
+from feel321.analysis.classic import (
     compare_dependent,
     fit_monotone_cubic,
     p1401,

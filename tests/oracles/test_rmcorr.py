@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from feel321.analysis.standard import repeated_measures_correlation
+from feel321.analysis.classic import repeated_measures_correlation
 
 ORACLE = Path(__file__).parents[3] / "shared" / "oracles" / "rmcorr_bland1995"
 

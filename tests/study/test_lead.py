@@ -9,8 +9,8 @@ import pytest
 
 from feel321.protocols.texts import read_scales
 from feel321.study.folder import StudyFolder
-from feel321.study.numbers import Station, plan_participants
-from feel321.study.persons.withdrawal import release_participant
+from feel321.study.participants.numbers import Station, plan_participants
+from feel321.study.participants.withdrawal import release_participant
 from feel321.study.session.plan import Stale
 from feel321.study.sessions import Room, lead_session
 

@@ -14,8 +14,12 @@ from feel321.study.auditing.study import audit_study
 from feel321.study.checkpoints import take_marks
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.people import write_roster
-from feel321.study.persons.withdrawal import release_participant, take_note, withdraw_participant
+from feel321.study.participants.roster import write_roster
+from feel321.study.participants.withdrawal import (
+    release_participant,
+    take_note,
+    withdraw_participant,
+)
 from feel321.study.ratings import write_ratings
 from feel321.study.run import run_participant
 from feel321.study.session.journal import read_journal

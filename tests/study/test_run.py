@@ -18,7 +18,7 @@ from feel321.study.auditing.study import audit_study, examine
 from feel321.study.check import check_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.people import write_roster
+from feel321.study.participants.roster import write_roster
 from feel321.study.run import run_participant, start_clock
 from feel321.study.screen import window
 from feel321.study.session.events import RigAccepted

@@ -14,6 +14,7 @@ import pytest
 
 from feel321 import doors
 from feel321.study.folder import StudyFolder
+from feel321.study.terminal import echo
 
 FEEL321 = Path(sys.executable).with_name("feel321")
 
@@ -34,6 +35,14 @@ def watch(*arguments: object) -> str:
     os.close(terminal)
     assert process.returncode == 0
     return shown.decode()
+
+
+def test_numbers_are_printed_whole_and_nothing_moves_the_cursor(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    echo("power 0.99 (95\N{NO-BREAK SPACE}% interval) of \x1b[2Ap\u202e1")
+    said = capsys.readouterr().out
+    assert said == "power 0.99 (95\N{NO-BREAK SPACE}% interval) of \\u001b[2Ap\\u202e1\n"
 
 
 @pytest.fixture

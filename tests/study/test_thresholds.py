@@ -28,7 +28,7 @@ from feel321.study.check import build_study
 from feel321.study.folder import create_study
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
-from feel321.study.people import ROSTER_FILE
+from feel321.study.participants.roster import ROSTER_FILE
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import read_journal

@@ -132,16 +132,14 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     if is_astray:
         worst = terms[int(np.abs(beta).argmax())]
         must = "pairs must have no separation: each item must win and lose, through others at least"
-        raise ValueError(
-            f"{must}; the estimate of '{worst}' runs away: gather more, or use prior=0.5"
-        )
+        do = f"the estimate of '{worst}' runs away: gather more, or use prior=0.5"
+        raise ValueError(f"{must}; {do}")
     errors, freedom = np.sqrt(np.linalg.inv(curvature).diagonal()), np.inf
     source = "95 % Wald interval, comparisons taken for independent"
     notes = [f"{n_ties} ties count half a win for each."] * bool(n_ties)
     if prior:
-        notes.append(
-            f"{prior:g} wins are added to both sides of every row: abilities are shrunken."
-        )
+        added = f"{prior:g} wins are added to both sides of every row"
+        notes.append(f"{added}: abilities are shrunken.")
     if rater:
         everyone = _count_wins(people[kept], row, every)
         source, freedom = "95 % bootstrap interval over raters", float(len(everyone) - 1)
@@ -207,9 +205,8 @@ def _build_design(
     if not order_effect:
         return design, terms
     if ORDER in items:
-        raise ValueError(
-            f"pairs must not have an item named '{ORDER}', the order effect; rename it"
-        )
+        taken = f"an item named '{ORDER}', the order effect"
+        raise ValueError(f"pairs must not have {taken}; rename it")
     design = np.column_stack([design, np.ones(len(design))])
     if np.linalg.matrix_rank(design) < design.shape[1]:
         raise ValueError("order_effect needs pairs presented in both orders; leave it out")
@@ -284,9 +281,8 @@ def _read_rows(pairs: DataFrame, *, ties: str, ordered: bool) -> tuple[Names, Va
         wins, n_ties = _read_winners(pairs, names, ties)
     else:
         if ordered:
-            raise ValueError(
-                "order_effect needs pairs that say which was presented first; leave it out"
-            )
+            known = "pairs that say which was presented first"
+            raise ValueError(f"order_effect needs {known}; leave it out")
         names = np.sort(names, axis=1)
         wins = (names == sides[:, :1]).astype(np.float64)
     return names, wins, n_ties

@@ -269,11 +269,8 @@ def fit_reducers(rows: DataFrame, names: Sequence[str]) -> tuple[MixedFit, dict[
         must = "ratings must be of several participants or recordings, got one of each"
         raise ValueError(f"{must}: nothing is left to judge a difference by")
     formula = " + ".join(["rating ~ 0 + which", *(f"(1 | {name})" for name in kept)])
-    return (
-        fit_mixed(formula, cells),
-        {name: f"which{code}" for name, code in codes.items()},
-        len(cells),
-    )
+    terms = {name: f"which{code}" for name, code in codes.items()}
+    return fit_mixed(formula, cells), terms, len(cells)
 
 
 def compare_terms(fit: MixedFit, terms: Sequence[str]) -> Statistic:

@@ -29,9 +29,8 @@ if TYPE_CHECKING:
 GUESSING = 0.5  # Share that comes out right by guessing
 LARGEST = 12.0  # From here on a d' is perfect to rounding: an error in 10^6 trials or fewer
 SPREADS: Mapping[str, float] = MappingProxyType({
-    "independent": 2.0,
-    "differencing": float(np.sqrt(6)),
-})
+    "independent": 2.0, "differencing": float(np.sqrt(6)),
+})  # fmt: skip
 """Observer's model -> divisor of d' in the second factor of the share correct; the first is always √2."""
 
 EVERY = "all reducers"

@@ -166,8 +166,7 @@ CELL_CM = 4.2
 
 def find_cut(metric: str) -> float:
     """Find below what values of a metric are drawn at the edge: those of eq. 1, which has no lower bound, only."""
-    is_raw = metric.startswith("spectral_match") and "bounded" not in metric
-    return CUT if is_raw else -np.inf
+    return CUT if metric.startswith("spectral_match") and "bounded" not in metric else -np.inf
 
 
 def plot_stimuli(
@@ -237,9 +236,8 @@ def draw_residuals(models: Mapping[str, Primary]) -> Figure:
             at = ndtri((chosen + 0.5) / n)
             left.plot(at, ordered[chosen], "o", color=style.BLACK, **points)
             right.axhline(0, color=style.GREY, linewidth=0.6, zorder=1)
-            right.plot(
-                fitted[chosen], residuals[chosen], "o", color=style.BLACK, alpha=0.4, **points
-            )
+            place = fitted[chosen], residuals[chosen]
+            right.plot(*place, "o", color=style.BLACK, alpha=0.4, **points)
             title = style.fit_text(name, 6.0)
             left.set(xlabel="Normal quantile (SD)", ylabel="Residual (SD)", title=title)
             right.set(xlabel="Fitted (points)", ylabel="Residual (points)")
@@ -279,9 +277,8 @@ def plot_profile(
 ) -> None:
     """Plot the ratings of one scale and level: tests from the highest mean down, then reference and anchors."""
     tested = profile["role"] == ROLES[0]
-    order = profile.assign(
-        rank=profile["role"].map(ROLES.index), fall=-profile["mean"].where(tested, 0.0)
-    )
+    fall = -profile["mean"].where(tested, 0.0)
+    order = profile.assign(rank=profile["role"].map(ROLES.index), fall=fall)
     rows = order.sort_values(["rank", "fall"], kind="stable").to_dict("records")
     n_tests, places = int(tested.sum()), dict[tuple[Any, Any], float]()
     if 0 < n_tests < len(rows):
@@ -294,9 +291,8 @@ def plot_profile(
             bar: dict[str, Any] = {"color": look.colour, "linewidth": 1.2, "zorder": 3}
             axes.plot([row["low"], row["high"]], [height, height], **bar)
         style.plot_marks(axes, row["mean"], height, look=look, size=4.5)
-        labels.append(
-            style.fit_text(reducer if place < n_tests else f"{reducer} ({role})", label_cm)
-        )
+        name = reducer if place < n_tests else f"{reducer} ({role})"
+        labels.append(style.fit_text(name, label_cm))
     pale: dict[str, Any] = {"color": style.GREY, "alpha": 0.6, "marker": ".", "markersize": 2}
     for (joined, _), part in people.groupby([people["role"] == ROLES[0], "participant"]):
         keys = zip(part["role"], part["reducer"], strict=True)
@@ -319,9 +315,8 @@ def draw_space(space: Statistic, names: Sequence[str]) -> Figure:
 
     n, ellipses = len(space.positions), space.ellipses
     if len(names) != n or len(set(names)) != n:
-        raise ValueError(
-            f"names must be one for each of {n} stimuli, got {len(set(names))} different ones"
-        )
+        got = f"got {len(set(names))} different ones"
+        raise ValueError(f"names must be one for each of {n} stimuli, {got}")
     looks = style.assign_looks([name for name in names if name != ORIGINAL]) | {ORIGINAL: STAR}
     with style.print_style():
         figure, axes = style.new_figure(MAP_CM)
@@ -331,16 +326,11 @@ def draw_space(space: Statistic, names: Sequence[str]) -> Figure:
             fill: dict[str, Any] = {"facecolor": look.colour, "alpha": 0.15, "linewidth": 0}
             axes.add_patch(Ellipse(tuple(place), *(2 * half), angle=float(angle), **fill))
             style.plot_marks(axes, place[0], place[1], look=look, size=9.0 if look == STAR else 4.5)
-        axes.set(
-            xlabel="Dimension 1 (unit of dissimilarity)",
-            ylabel="Dimension 2 (unit of dissimilarity)",
-        )
+        axes.set_xlabel("Dimension 1 (unit of dissimilarity)")
+        axes.set_ylabel("Dimension 2 (unit of dissimilarity)")
         axes.autoscale_view()
         axes.set_aspect("equal", adjustable="datalim")
-        stress, people = space.stress, ellipses.n_participants
-        title = (
-            f"Stress-1 = {stress:.2f}; ellipses: n = {people} participants, {ellipses.draws} draws."
-        )
-        style.add_title(figure, title)
+        drawn = f"n = {ellipses.n_participants} participants, {ellipses.draws} draws"
+        style.add_title(figure, f"Stress-1 = {space.stress:.2f}; ellipses: {drawn}.")
         style.add_legend(figure, style.make_handles({name: looks[name] for name in names}))
     return figure

@@ -212,9 +212,8 @@ def fit_mixed(
     >>> round(fit.residual_sd, 2), round(fit.criterion, 2), fit.singular
     (0.46, 29.93, False)
     """
-    return report_fit(
-        formula, solve_design(build_design(formula, data), reml=reml, penalty=penalty)
-    )
+    design = build_design(formula, data)
+    return report_fit(formula, solve_design(design, reml=reml, penalty=penalty))
 
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:
@@ -234,10 +233,8 @@ def report_fit(formula: str, solved: Solved) -> MixedFit:
     columns = ["group", "first", "second", "correlation"]
     predicted = design.fixed @ solved.uncertainty.effects
     fitted, random = predicted, 0.0
-    covariances = profile.find_spreads(best)
-    for block, modes, covariance in zip(
-        profile.blocks, profile.find_modes(best), covariances, strict=True
-    ):
+    effects = profile.blocks, profile.find_modes(best), profile.find_spreads(best)
+    for block, modes, covariance in zip(*effects, strict=True):
         own = block.factor.columns
         fitted = fitted + np.sum(own * modes[block.factor.index], axis=1)
         random += float(np.einsum("ni,ij,nj->", own, covariance, own))

@@ -136,8 +136,7 @@ class Spread:
     def gather(self, one: Samples, other: Samples, n_theta: int) -> Samples:
         """Add up what stands at the entries of each parameter in the products of matrices, (n, size, size)."""
         along = np.einsum("kij,kji->i", one[:, self.rows], other[:, :, self.columns])
-        found = np.bincount(self.places, along, n_theta)
-        return found.astype(np.float64, copy=False)
+        return np.bincount(self.places, along, n_theta).astype(np.float64, copy=False)
 
 
 @dataclass(frozen=True)
@@ -270,9 +269,8 @@ class Profile:
     def deviance(self, state: State) -> float:
         """-2 log likelihood with the best b and s for this theta."""
         spread = np.log(2 * np.pi * state.rss / self.weight)
-        return float(
-            state.log_random + self.reml * state.log_fixed + self.freedom * spread + self.weight
-        )
+        logs = state.log_random + self.reml * state.log_fixed
+        return float(logs + self.freedom * spread + self.weight)
 
     def target(self, state: State) -> float:
         """Add the penalty, -2 log of every spread it names, to the deviance: what is minimised."""
@@ -299,8 +297,7 @@ class Profile:
         outside = self.shared.around(adjoint, theta, turned=True)
         seen = self.border @ outside @ self.border.swapaxes(1, 2) + outside[-1, -1] * self.scatter
         change = self.counts[:, None, None] * self.inner - seen + self.inner @ state.kept @ seen
-        inside = self.own.times(change, theta)
-        return 2 * (slope + self.own.gather(inside, state.inner, n_theta))
+        return 2 * (slope + self.own.gather(self.own.times(change, theta), state.inner, n_theta))
 
     def differentiate(self, state: State) -> tuple[Samples, Samples]:
         """Differentiate the penalised deviance f(theta, log s) twice, in units of the spreads; and X'V⁻¹X's inverse.

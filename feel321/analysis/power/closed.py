@@ -74,9 +74,8 @@ class ClosedForm:
         noise = truth.person_item_sd**2 + truth.rating_sd**2 / design.repeats
         # Nothing is known exactly: without any noise the sums of squares would be divided by zero.
         stimulus = max(truth.item_sd**2 + noise / participants, 1e-300)
-        of_reducer = stimulus + n_items / kinds * (
-            truth.reducer_sd**2 + truth.person_reducer_sd**2 / participants
-        )
+        of_kind = truth.reducer_sd**2 + truth.person_reducer_sd**2 / participants
+        of_reducer = stimulus + n_items / kinds * of_kind
         # What the metric has and the others do not, and the part of it that is the same for a reducer.
         marks = np.eye(kinds)[stimuli.kind]
         alike = marks @ (marks.T @ within / np.maximum(marks.sum(axis=0), 1)[:, None])
@@ -164,8 +163,7 @@ class ClosedForm:
         """Find how many recordings give the wanted power with as many participants; NaN beyond 1000."""
 
         def find_power(number: int) -> float:
-            larger = replace(self.design, recordings=number)
-            return ClosedForm(larger, self.place).find_power(value)
+            return ClosedForm(replace(self.design, recordings=number), self.place).find_power(value)
 
         ends = LEAST["recordings"], MOST_RECORDINGS
         return find_least(find_power, ends=ends, enough=self.design.wanted)
@@ -179,8 +177,7 @@ class ClosedForm:
         for name, count in (("recordings (or their sources)", sources), ("reducers", kinds)):
             if count < FEWEST:
                 return f"{name} number {count}, where {FEWEST} are needed"
-        people = self.design.participants
-        if all(math.isnan(self.measure(one, people)[0]) for one in self.sets):
+        if all(math.isnan(self.measure(one, self.design.participants)[0]) for one in self.sets):
             return "the metric does not vary within recordings, or cannot be told apart from the others"
         return f"fewer than {FEWEST_DF:g} degrees of freedom are left with the planted spreads"
 

@@ -178,8 +178,7 @@ class PowerDesign:
 
     def _settle(self, given: Mapping[str, float], points: float) -> Samples:
         within = self.stimuli.within.std(axis=0, ddof=1)
-        usual = points / np.where(within > 0, within, np.inf)
-        pairs = zip(self.metrics, usual, strict=True)
+        pairs = zip(self.metrics, points / np.where(within > 0, within, np.inf), strict=True)
         return np.array([given.get(name, own) for name, own in pairs], dtype=np.float64)
 
     def draw(self, rng: np.random.Generator) -> Stimuli:

@@ -73,7 +73,22 @@ def find_power(design: PowerDesign, simulate: Simulate | None = None) -> Power:
     """Find the power of a design, in closed form and, where something simulates, in simulated studies."""
     truth = design.truth
     forms = {metric: ClosedForm(design, place) for place, metric in enumerate(design.metrics)}
-    rows, notes = [], list(_list_notes(design))
+    notes = [f"Standard deviations: {design.truth.source}."]
+    if len(design.hypotheses) > 1:
+        first = f"{design.level:.3g}, the first step of Holm's method over {len(design.hypotheses)} tests"
+        notes.append(f"The closed form is at a level of {first}.")
+    if len(design.attributes) > 1:
+        apart = "independent of each other, although the same people rate them"
+        notes.append(f"Attributes are taken to be {apart}.")
+    if not design.is_own:
+        notes.append(
+            "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are "
+            "more than the set has, some are used more than once, with the same metrics."
+        )
+    if SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique:
+        lower = "what else they share is not simulated, so actual power is lower"
+        notes.append(f"Several recordings come from one source; {lower}.")
+    rows = []
     for attribute, metric in design.hypotheses:
         form, slope = forms[metric], truth.find_slope(attribute, metric)
         se, df = form.find_error()
@@ -89,26 +104,6 @@ def find_power(design: PowerDesign, simulate: Simulate | None = None) -> Power:
         notes.append(f"{lost} of {len(p)} simulated studies gave no test and are excluded.")
     table = pd.DataFrame(rows).join(tabulate_shares(p))
     return Power(design, table, len(p), tuple(notes))
-
-
-def _list_notes(design: PowerDesign) -> Iterator[str]:
-    """Say what was assumed."""
-    yield f"Standard deviations: {design.truth.source}."
-    if len(design.hypotheses) > 1:
-        first = f"{design.level:.3g}, the first step of Holm's method over {len(design.hypotheses)} tests"
-        yield f"The closed form is at a level of {first}."
-    if len(design.attributes) > 1:
-        yield "Attributes are taken to be independent of each other, although the same people rate them."
-    if not design.is_own:
-        yield (
-            "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are "
-            "more than the set has, some are used more than once, with the same metrics."
-        )
-    if SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique:
-        yield (
-            "Several recordings come from one source; what else they share is not simulated, so actual "
-            "power is lower."
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,12 +133,9 @@ class PowerPlan:
 
 
 def plan_power(
-    design: PowerDesign,
-    sizes: Mapping[str, Sequence[int]],
-    *,
-    aims: Sequence[int] = (0,),
-    simulate: Simulate | None = None,
-) -> PowerPlan:
+    design: PowerDesign, sizes: Mapping[str, Sequence[int]],
+    *, aims: Sequence[int] = (0,), simulate: Simulate | None = None,
+) -> PowerPlan:  # fmt: skip
     """Find the power of designs around a given one, and recommend the smallest that is enough.
 
     sizes: numbers to try, by the names of `SIZES`, one factor at a time, and participants x recordings together;

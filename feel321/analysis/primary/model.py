@@ -227,9 +227,7 @@ def fit_primary(
         n_rows=fit.n_rows, n_participants=cells.count(WHO), n_recordings=cells.count(SCENE), n_items=cells.count(ITEM),
         n_sources=cells.n_sources, n_reducers=cells.count(REDUCER),
         reductions=terms.reductions, model_frame=cells.table,
-        notes=(
-            *cells.notes, *fit.notes, *why, *why_not, *_note_limits(found, lack),
-        ),
+        notes=(*cells.notes, *fit.notes, *why, *why_not, *_note_limits(found, lack)),
         penalty=terms.penalty, level=level,
     )  # fmt: skip
 

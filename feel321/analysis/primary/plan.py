@@ -319,10 +319,8 @@ def _plan_fixed(cells: Cells) -> tuple[list[str], list[str]]:
     reductions += [f"No slope of {name}: {alike}." for name in flat]
     within = keep_independent([f"{name}_w" for name in cells.metrics if name not in flat])
     if not within:
-        got = (
-            f"got {', '.join(cells.metrics)}, none of which differs between stimuli of a recording"
-        )
-        raise ValueError(f"metrics must vary, {got}")
+        none = "none of which differs between stimuli of a recording"
+        raise ValueError(f"metrics must vary, got {', '.join(cells.metrics)}, {none}")
     level = keep_independent([*within, *[LEVEL] * (LEVEL in values)])[len(within) :]
     between = [f"{name}_b" for name in cells.metrics if varies(name, "_b")]
     if not between or cells.n_sources < len(between) + 2:

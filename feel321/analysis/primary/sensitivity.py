@@ -84,12 +84,9 @@ class Fitted(NamedTuple):
 
 
 def _fit(
-    make: Callable[[], Cells],
-    metrics: Sequence[str],
-    *,
-    correlated: bool = False,
-    reducers: bool = True,
-) -> Fitted:
+    make: Callable[[], Cells], metrics: Sequence[str],
+    *, correlated: bool = False, reducers: bool = True,
+) -> Fitted:  # fmt: skip
     """Fit the slopes; NaN and the reason where the rows carry no model."""
     try:
         found = fit_slopes(make(), correlated=correlated, reducers=reducers)
@@ -136,9 +133,8 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     rows = rows.assign(**{RATING: ratings})
     tables = []
     for variant in _list_variants(rows, metrics, top=top):
-        found = _fit(
-            variant.make, metrics, correlated=variant.correlated, reducers=variant.reducers
-        )
+        terms = {"correlated": variant.correlated, "reducers": variant.reducers}
+        found = _fit(variant.make, metrics, **terms)
         if variant.name == "primary" and not found.slopes:
             raise ValueError(found.reason)
         reason = " ".join(filter(None, (*notes, variant.note, found.reason)))
@@ -186,9 +182,8 @@ def _list_rig_variants(rows: DataFrame, metrics: Sequence[str], cells: Cells) ->
         left = rows.assign(**{RATING: rows[RATING] - means + whole})
         yield Variant(f"{name} as a factor", partial(make_cells, left, metrics))
         for value, people in rows.drop_duplicates(WHO).groupby(name)[WHO]:
-            if (
-                2 * len(people) <= cells.count(WHO) > len(people) + 1
-            ):  # the rest is most, and more than one
+            # The rest is most, and more than one.
+            if 2 * len(people) <= cells.count(WHO) > len(people) + 1:
                 make = partial(cells.leave_out, WHO, *people)
                 yield Variant(f"without {name} {str(value) or 'unknown'}", make)
 
@@ -281,8 +276,7 @@ def measure_influence(
         for column, name in (*leave_out_units(cells), *stimuli):
             fitted = _fit(partial(cells.leave_out, column, name), metrics)
             table = _compare(fitted, whole, before=before, others=others)
-            kind = STIMULUS if column == ITEM else column
-            found.append(table.assign(kind=kind, unit=str(name)))
+            found.append(table.assign(kind=STIMULUS if column == ITEM else column, unit=str(name)))
             if column == REDUCER and fitted.slopes:
                 slopes[name] = fitted.slopes
     table = pd.concat(found, ignore_index=True) if found else pd.DataFrame()

@@ -55,7 +55,6 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
         }
         effect = effects.pop(verdict["metric"])
         size, r = effect or blank, find_row(alone, "r", **within) or blank
-        predicts = verdict["verdict"] == PREDICTS
         cards.append({
             **verdict, "effect": read_ends(size), "r": read_ends(r),
             "ceiling": (find_row(alone, "ceiling", **within) or blank)["value"],
@@ -63,7 +62,7 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
             "unflagged": unflagged.get(tuple(place.values()), ""),
             "outcome": OPPOSITE if verdict["opposite"] else verdict["verdict"],
             # How ratings go with a metric alone; empty where its interval covers zero.
-            "turned": predicts and size["value"] * r["value"] < 0,
+            "turned": verdict["verdict"] == PREDICTS and size["value"] * r["value"] < 0,
             "alone": ("higher" if r["value"] > 0 else "lower") if r["low"] * r["high"] > 0 else "",
         })  # fmt: skip
     return cards
@@ -151,9 +150,8 @@ def name_scales(own: Sequence[Row], every: Sequence[Row]) -> str:
 
 def list_subjects(subjects: Sequence[str]) -> str:
     """List scales within a sentence, in lower case but for abbreviations."""
-    return join_words([
-        name[:1].lower() + name[1:] if name[1:2].islower() else name for name in subjects
-    ])
+    lowered = (name[:1].lower() + name[1:] if name[1:2].islower() else name for name in subjects)
+    return join_words(list(lowered))
 
 
 def _list_exceptions(cards: Sequence[Row], rows: Sequence[Row]) -> Iterator[Row]:
@@ -248,9 +246,8 @@ def _list_surprises(paper: Paper, odd: Sequence[Row]) -> Iterator[Row]:
             named.setdefault(str(claim.options.get("reducer")), set()).add(WAYS[claim.expect])
     rows = list_exceptional(odd)
     for reducer in dict.fromkeys(row["reducer"] for row in rows):
-        own = sorted(
-            (row for row in rows if row["reducer"] == reducer), key=lambda row: abs(row["value"])
-        )
+        own = [row for row in rows if row["reducer"] == reducer]
+        own.sort(key=lambda row: abs(row["value"]))
         ways = sorted({"higher" if row["value"] > 0 else "lower" for row in own})
         yield {
             "reducer": reducer, "ways": ways, "points": [abs(own[0]["value"]), abs(own[-1]["value"])], "metrics": [],

@@ -146,9 +146,8 @@ def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:
         former = set()
     for name in wanted:
         if name not in former and (target / name).exists():
-            raise FileExistsError(
-                f"{target / name}: exists and is not of a former report; move it away or choose another folder"
-            )
+            do = "move it away or choose another folder"
+            raise FileExistsError(f"{target / name}: exists and is not of a former report; {do}")
     return former
 
 

@@ -74,8 +74,7 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
         found.notes += _gather_notes(both, part.lead, most=len(panel.associations))
         explored = list(explore(part, table.further, choices))
         _add_associations(found, part, explored, name="further_associations")
-        lead = f"{part.lead}, further metrics"
-        found.notes += _gather_notes(explored, lead, most=len(explored))
+        found.notes += _gather_notes(explored, f"{part.lead}, further metrics", most=len(explored))
     ranges: dict[str, list[float]] = {}
     for one in (one for panel in told for one in panel["found"]):
         if np.isfinite(one["r"]["value"]):
@@ -89,8 +88,7 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
         "panels": told, "alone": alone, "map": SPACE if alone and (scales == PAIRED).any() else "",
         "ranges": [{"metric": name, "low": min(r), "high": max(r)} for name, r in ranges.items()],
     }  # fmt: skip
-    subjects = [one["subject"].lower() for one in told]
-    drawn = list(zip(panels, subjects, strict=True))
+    drawn = list(zip(panels, (one["subject"].lower() for one in told), strict=True))
     for slug, shown in parts.split_front("scatter", drawn):
         _draw(found, shown, table, slug=slug)
     return found
@@ -169,9 +167,8 @@ def explore(part: Part, metrics: Sequence[str], choices: Choices) -> Iterator[St
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
 
 WAYS = {
-    PAIRED: ("least like the reference", "most like it"),
-    ANSWERED: ("told apart most", "least"),
-}
+    PAIRED: ("least like the reference", "most like it"), ANSWERED: ("told apart most", "least"),
+}  # fmt: skip
 
 
 def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
@@ -181,11 +178,8 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
     if profile.empty:
         found.notes.append("Only pairs of two test stimuli were rated: no ratings per reducer.")
         return found
-    ranks = {
-        "scale": list(single["scale"].unique()),
-        "role": ROLES,
-        REDUCER: order_reducers(profile[REDUCER]),
-    }
+    ranks = {"role": ROLES, REDUCER: order_reducers(profile[REDUCER])}
+    ranks["scale"] = tuple(single["scale"].unique())
     place = {name: {one: rank for rank, one in enumerate(order)} for name, order in ranks.items()}
     keys = ["scale", "level", "role", REDUCER]
     listed = profile.sort_values(

@@ -181,8 +181,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
     for name, count in {"n_distinguished": apart, "n_compared": n}.items():
         found.rows["discrimination"].append(make_row(name, count, n=n))
     found.claim(**found.facts)
-    several = len(frame["level"].unique()) > 1
-    levels = frame["level"].map(format_level) if several else ""
+    levels = frame["level"].map(format_level) if len(frame["level"].unique()) > 1 else ""
     tried = frame["n_correct"].astype(str) + "/" + frame["n_trials"].astype(str)
     frame["name"] = frame["reducer"] + levels + " (" + tried + ")"
     found.draw("sensitivity", "discrimination", frame, says={})
@@ -277,8 +276,7 @@ def _relate(
     metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
     rng = choices.make_rng("space", level, "procrustes")
-    places = space.positions[known]
-    return align_spaces(places, scaled, permutations=choices.draws, rng=rng)
+    return align_spaces(space.positions[known], scaled, permutations=choices.draws, rng=rng)
 
 
 def _regress(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from pandas import DataFrame
@@ -58,9 +59,8 @@ class Analysis(NamedTuple):
 def per_step(slopes: DataFrame, steps: Mapping[str, Step]) -> DataFrame:
     """Add to slopes per 0.1 of metrics, with their ends, the same per step, and the step."""
     size = slopes["metric"].map({name: step.size for name, step in steps.items()})
-    value, low, high = (
-        slopes[name] * size / TENTH for name in ("tenth", "tenth_low", "tenth_high")
-    )
+    names = "tenth", "tenth_low", "tenth_high"
+    value, low, high = (slopes[name] * size / TENTH for name in names)
     per = slopes["metric"].map({name: step.per for name, step in steps.items()})
     return slopes.assign(value=value, low=low, high=high, size=size, per=per)
 
@@ -85,12 +85,11 @@ def compute(table: Table, choices: Choices) -> Found:
             influence = replace(influence, table=per_step(influence.table, steps))
         analysis = Analysis(part, model, influence, table.info)
         rows = [row for row in slopes if row["attribute"] == part.lead]
-        verdicts = [conclude_slope(analysis, row) for row in rows]
+        verdicts = keep_steady([conclude_slope(analysis, row) for row in rows])
         found.verdicts += verdicts
         _add_rows(found, analysis, rows)
-        findings = [
-            one | _describe_slope(analysis, row) for one, row in zip(verdicts, rows, strict=True)
-        ]
+        more = [_describe_slope(analysis, row) for row in rows]
+        findings = [one | two for one, two in zip(verdicts, more, strict=True)]
         told.append(_describe_part(analysis, findings))
     for loss in losses:
         keys = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
@@ -191,6 +190,15 @@ def conclude_slope(analysis: Analysis, row: Row) -> Row:
         "few": parts.list_few(analysis.units, least),
         "beyond_level": sensitivity.judge_level(model.level, row["p_holm"], row["plain_p_holm"]),
     }  # fmt: skip
+
+
+def keep_steady(verdicts: Sequence[Row]) -> list[Row]:
+    """Let no metric be better than one whose verdict a single unit turns: which is better is then left open."""
+    unsteady = {one["metric"] for one in verdicts if one["hinges_on"]}
+    return [
+        one | {"better_than": [name for name in one["better_than"] if name not in unsteady]}
+        for one in verdicts
+    ]
 
 
 def _find_hinges(analysis: Analysis, row: Row) -> list[Row]:
@@ -321,7 +329,8 @@ def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001
         for reason, names in others.groupby(others, sort=False).groups.items():
             found.notes.append(f"{part.lead}, {'; '.join(names)}: {reason}")
     if rows := found.rows["variants"]:
-        found.facts["turned"] = find_turned(rows)
+        known = any(math.isfinite(row["low"]) for row in rows if row["quantity"] == "standardised")
+        found.facts |= {"turned": find_turned(rows), "known": known}
     return found
 
 
@@ -332,12 +341,7 @@ def find_turned(rows: Sequence[Row]) -> list[Row]:
         return int(row["low"] > 0) - int(row["high"] < 0)
 
     own = [row for row in rows if row["quantity"] == "standardised"]
-    keys = ("scale", "level", "metric")
-    primary = {
-        tuple(row[key] for key in keys): sign(row) for row in own if row["variant"] == "primary"
-    }
-    return [
-        row
-        for row in own
-        if math.isfinite(row["low"]) and sign(row) != primary[tuple(row[key] for key in keys)]
-    ]
+    place = itemgetter("scale", "level", "metric")
+    primary = {place(row): sign(row) for row in own if row["variant"] == "primary"}
+    known = (row for row in own if math.isfinite(row["low"]))
+    return [row for row in known if sign(row) != primary[place(row)]]

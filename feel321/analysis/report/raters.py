@@ -33,10 +33,8 @@ NORMAL = 1.959963984540054
 
 EVERYONE, STANDARD, ANY = "everyone", "standard", "any"
 GROUPS = {
-    EVERYONE: "everyone",
-    STANDARD: "without those flagged by BS.1534-3",
-    ANY: "without anyone flagged",
-}
+    EVERYONE: "everyone", STANDARD: "without those flagged by BS.1534-3", ANY: "without anyone flagged",
+}  # fmt: skip
 """Groups of raters that the primary slopes are fitted to -> what they are called."""
 
 
@@ -80,9 +78,8 @@ def compute(table: Table, choices: Choices) -> Found:
         },
         "unflagged": [row for row in changes if row["panel"] == ANY],
     }  # fmt: skip
-    steps = parts.find_table_steps(table)
     if slopes:
-        shown = per_step(pd.DataFrame(slopes), steps)
+        shown = per_step(pd.DataFrame(slopes), parts.find_table_steps(table))
         shown["verdict"] = shown["verdict"].str.replace("_", " ")
         found.add("slopes_without_hits", shown.assign(panel=shown["panel"].map(GROUPS)))
     return found

@@ -164,13 +164,8 @@ class TableForm(NamedTuple):
         cells = ([_show_cell(line.get(quantity.name), quantity.kind, part) for quantity, part in columns]
                  for line in lines.values())  # fmt: skip
         body = [[*name, *cell] for name, cell in zip(names, cells, strict=True)]
-        return {
-            "name": self.name,
-            "caption": self.caption,
-            "head": heads,
-            "rows": body,
-            "texts": texts,
-        }
+        known = {"name": self.name, "caption": self.caption}
+        return known | {"head": heads, "rows": body, "texts": texts}
 
 
 def _show_cell(row: Row | None, kind: str, part: str) -> str:
@@ -375,9 +370,8 @@ def thin_rows(rows: DataFrame, *, n_slopes: int, rng: np.random.Generator) -> tu
         left = left[left[longer].isin(kept)]
     if len(left) == len(rows):
         return rows, ""
-    told = " and ".join(
-        f"{left[name].nunique()} of {rows[name].nunique()} {name}s" for name in sides
-    )
+    counts = (f"{left[name].nunique()} of {rows[name].nunique()} {name}s" for name in sides)
+    told = " and ".join(counts)
     return left, f"mixed models use {told}, drawn at random: {len(rows)} ratings are too many for one fit."  # fmt: skip
 
 

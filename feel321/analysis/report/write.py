@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
-from feel321.analysis.association import refuse_untested
 from feel321.analysis.figures.style import list_undrawable
 from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer
@@ -24,7 +23,7 @@ from feel321.analysis.screening import RULES
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
-from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
+from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIR, PAIRED, RECAST
 from feel321.doors import as_path, as_seed, follow
 from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
@@ -206,7 +205,9 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         inputs = describe_inputs(given, table=table, further=further, choices=chosen)
         if paper is not None:
             inputs |= {"paper": f"{paper.citation} doi:{paper.doi} ({paper.seen})"}
-        refuse_untested(table)
+        if not table.rows["role"].isin(["test", PAIR]).any():
+            must = "ratings must be of one stimulus or more with role 'test'"
+            raise ValueError(f"{must}, got none of such")
         with words.declaring(table.info):
             found = _compute(table, chosen, paper=paper, move=move)
             results = _gather_results(table, found, inputs=inputs, about=about, choices=chosen)
@@ -362,9 +363,8 @@ def make_frame(table: Table, found: Iterable[Found], standing: Standing) -> Data
     frame = _tidy(pd.DataFrame(rows), ["table"])
     keys = [name for name in frame if name not in {*FIXED[1:], "status"}]
     if len(twice := frame[frame.duplicated(keys)]):
-        raise ValueError(
-            f"results: {len(twice)} rows have the same keys, first {twice.iloc[0].dropna().to_dict()}"
-        )
+        first = twice.iloc[0].dropna().to_dict()
+        raise ValueError(f"results: {len(twice)} rows have the same keys, first {first}")
     return frame
 
 

@@ -222,10 +222,9 @@ def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     n = int((~tested).sum())
     if n == len(ratings):
         raise ValueError(f"ratings must be of test stimuli, got no row with role 'test' among {n}")
-    left = (
-        f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli (hidden references, anchors)"
-    )
-    return ratings[tested], (f"{left} {'are' if n > 1 else 'is'} left out.",)
+    left = f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli"
+    left = f"{left} (hidden references, anchors) {'are' if n > 1 else 'is'} left out."
+    return ratings[tested], (left,)
 
 
 def name_stimuli(ratings: DataFrame) -> DataFrame:
@@ -244,10 +243,10 @@ def name_stimuli(ratings: DataFrame) -> DataFrame:
 
 def name_items(ratings: DataFrame) -> DataFrame:
     """Give a table the column ``item``, a stimulus, as models take it."""
-    named = ratings if "item" in ratings else name_stimuli(ratings)
-    return (
-        named.assign(item=named[STIMULUS]) if "item" not in named and STIMULUS in named else named
-    )
+    if "item" in ratings:
+        return ratings
+    named = name_stimuli(ratings)
+    return named.assign(item=named[STIMULUS]) if STIMULUS in named else named
 
 
 def open_tests(

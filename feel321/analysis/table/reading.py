@@ -60,6 +60,9 @@ JUDGEMENT = (
 """What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
 repeats are counted instead, so does what it was judged against."""
 
+CROWDED = (
+    0.2  # Share of ratings at the ends of the scale from which on they are said to crowd there
+)
 SHORT = 10  # Points below which a scale's highest rating makes one doubt that it went to 100
 SPACE = "Where a map of the dissimilarities can be made, see The space of what was felt."
 SURFACED, UNLISTED = "the real surface", "what the manifest does not list"
@@ -142,7 +145,7 @@ def read_table(
     stimuli, joined = _join_further(stimuli, rows, given, what=what, listed=where)
     notes += [*given.notes, *joined, *more_notes]
     rows, told = _join_stimuli(rows, stimuli, what)
-    notes += note_gaps(rows, stimuli, planned)
+    notes += [*note_gaps(rows, stimuli, planned), *note_scales(rows)]
     notes += [*told, *note_sources(rows), *note_lookalikes(rows)]
     explored = _choose_further(rows, planned, given=given)
     columns = [*planned, *explored]
@@ -301,20 +304,15 @@ def _add_sources(sheet: DataFrame, what: str, sources: Mapping[str, str]) -> Non
 
 
 def _choose_metrics(
-    sheet: DataFrame,
-    metrics: Sequence[str] | None,
-    source: Path | DataFrame,
-    *,
-    what: str,
-    more: set[str],
-) -> tuple[str, ...]:
+    sheet: DataFrame, metrics: Sequence[str] | None, source: Path | DataFrame,
+    *, what: str, more: set[str],
+) -> tuple[str, ...]:  # fmt: skip
     """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
 
     def list_numeric() -> str:
         names = metrics_of.list_numeric(schema.read_cells(source))
-        return (
-            f"its numeric columns are {', '.join(names)}" if names else "it has no numeric column"
-        )
+        listed = f"its numeric columns are {', '.join(names)}"
+        return listed if names else "it has no numeric column"
 
     if metrics is None or tuple(metrics) == schema.PLANNED:
         pairs = [(name, schema.STAND_INS.get(name, name)) for name in schema.PLANNED]
@@ -522,14 +520,12 @@ def note_sources(rows: DataFrame) -> Iterator[str]:
         yield f"{start}: they are not independent, and the results do not extend to other sources."
     elif sources < recordings:
         what = "they are not independent, and what is said of others rests on sources"
-        draws = (
-            "Two-way intervals draw them; mixed models hold what the recordings of a source share"
-        )
-        yield f"{start}: {what}. {draws}, as a whole and reducer by reducer."
+        held = "mixed models hold what the recordings of a source share"
+        yield f"{start}: {what}. Two-way intervals draw them; {held}, as a whole and reducer by reducer."
 
 
 def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> Iterator[str]:
-    """Say which stimuli nobody rated or felt, which scales have no test stimulus, and which metrics some lack."""
+    """Say which stimuli nobody rated or felt, and which metrics some of those that were rated lack."""
     apart, tests = rows[rows["scale"].isin(schema.APART)], rows[rows[ROLE] == TEST]
     rated = {*rows[STIMULUS], *apart["reference_id"], *apart["other_id"]}
     if unrated := [str(name) for name in manifest.index if name not in rated]:
@@ -539,13 +535,24 @@ def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> I
         which = f"{len(weak)} of {len(manifest)} stimuli were played below the detection threshold"
         if weak:
             yield f"{which}: {list_names(weak)}."
-    for scale in sorted({*rows["scale"]} - {*tests["scale"]} - {*schema.APART}):
-        yield f"Scale {shorten(scale)} was rated on references and anchors only: it has no association."
     for name in (name for name in metrics_of.describe_explored(metrics) if name in rows):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
         if len(lacking):
             first = shorten(str(lacking[0]))
             yield f"'{name}' is not reported: {len(lacking)} rated test stimuli have none, first {first}."
+
+
+def note_scales(rows: DataFrame) -> Iterator[str]:
+    """Say which scales have no rating of a test stimulus, and on which many are at an end."""
+    tests = rows[rows[ROLE] == TEST]
+    for scale in sorted({*rows["scale"]} - {*tests["scale"]} - {*schema.APART}):
+        yield f"Scale {shorten(scale)} was rated on references and anchors only: it has no association."
+    judged = tests[~tests["scale"].isin([schema.ANSWERED, *schema.CHOSEN])]
+    for scale, own in judged.groupby("scale"):
+        n = int(own["rating"].isin([schema.LOWEST, schema.HIGHEST]).sum())
+        if n > CROWDED * len(own):
+            which = f"{n} of {len(own)} ratings of test stimuli on scale {shorten(str(scale))} are 0 or 100"
+            yield f"{which}: beyond the ends of the scale differences do not show, and slopes may be too small."
 
 
 def note_lookalikes(rows: DataFrame) -> Iterator[str]:

@@ -139,10 +139,9 @@ def read_sheet(
     sheet = sheet[filled.any(axis=1)]
     if sheet.empty:
         raise ValueError(f"{what}: got no rows below the header; at least one is needed")
-    strangers = [
-        shorten(name) for name in dict.fromkeys(map(str, cells)) if name not in kinds and name
-    ]
-    notes = [f"{what}: columns that are not used: {', '.join(strangers)}."] if strangers else []
+    strangers = [name for name in dict.fromkeys(map(str, cells)) if name not in kinds and name]
+    listed = ", ".join(map(shorten, strangers))
+    notes = [f"{what}: columns that are not used: {listed}."] if strangers else []
     bare = [name for name in map(str, sheet) if name not in needed and not filled[name].any()]
     return sheet.drop(columns=bare), notes
 

@@ -87,10 +87,8 @@ def _ordinary(rng: np.random.Generator) -> Samples:
 def _turning(semi_axes: tuple[float, float]) -> Callable[[np.random.Generator], Samples]:
     def make(rng: np.random.Generator) -> Samples:
         angle = 2 * np.pi * (150 * TIME_S + rng.uniform())
-        first, second = semi_axes
-        return np.asarray(
-            np.array(PLANE).T @ np.array([first * np.cos(angle), second * np.sin(angle)])
-        )
+        parts = np.array([semi_axes[0] * np.cos(angle), semi_axes[1] * np.sin(angle)])
+        return np.asarray(np.array(PLANE).T @ parts)
 
     return make
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from feel321.stimuli.guard import OwnReducer, OwnStream
+from feel321.stimuli.own_methods import OwnReducer, OwnStream
 from feel321.stimuli.reducers.axes import DEFAULT_WINDOW_S, window_samples
 from feel321.stimuli.reducers.registry import WHY_NOT_STREAMING, StreamingReducer
 from feel321.types import Reducer, Samples
@@ -113,9 +113,8 @@ def find_needs(candidate: Candidate, *, n_samples: int, rate_hz: float) -> dict[
     if candidate.base not in _WORK:  # a plain function: nothing is declared
         unknown = dict.fromkeys(("operations", "state", "latency_ms"), inf)
         return {"parameters": 0, **unknown}
-    state, operations = _WORK[candidate.base](
-        n_samples, window_samples(candidate.window_s, rate_hz)
-    )
+    window = window_samples(candidate.window_s, rate_hz)
+    state, operations = _WORK[candidate.base](n_samples, window)
     latency_ms = inf
     if candidate.base not in WHY_NOT_STREAMING:
         stream = StreamingReducer(candidate.base, rate_hz, candidate.window_s)

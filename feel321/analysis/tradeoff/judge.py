@@ -97,9 +97,8 @@ class Context:
         """Refuse settings that contradict each other."""
         check_name(self.mounting, MOUNTINGS, "mounting")
         if not 0 < self.tolerance_db < FAILS_DB:
-            raise ValueError(
-                f"tolerance_db must be above 0 and below {FAILS_DB:g}, got {self.tolerance_db:g}"
-            )
+            got = f"got {self.tolerance_db:g}"
+            raise ValueError(f"tolerance_db must be above 0 and below {FAILS_DB:g}, {got}")
         given = self.latency_ms
         if given is not None and not self.online:
             raise ValueError(f"latency_ms must be left out offline, got {given:g}; set online=True")
@@ -125,11 +124,10 @@ def judge_reducers(frame: DataFrame, context: Context, people: DataFrame) -> Dat
         for _, part in judged[judged["condition"] != ""].groupby(["kind", "recording"], sort=False)
     ]
     table = pd.concat(rows) if rows else pd.DataFrame(columns=["kind", "recording", "reducer"])
-    needs = judged[(judged["condition"] == "") & judged["measure"].isin(NEEDS)]
-    wide = needs.pivot_table(
-        index=["kind", "recording", "reducer"], columns="measure", values="value"
-    )
-    table = table.merge(wide.reset_index(), how="left", on=["kind", "recording", "reducer"])
+    needs, keys = judged[judged["condition"] == ""], ["kind", "recording", "reducer"]
+    needs = needs[needs["measure"].isin(NEEDS)]
+    wide = needs.pivot_table(index=keys, columns="measure", values="value").reset_index()
+    table = table.merge(wide, how="left", on=keys)
     if not len(table):
         return table
     table["in_budget"] = table["latency_ms"] <= context.room_ms
@@ -147,9 +145,8 @@ def judge_reducers(frame: DataFrame, context: Context, people: DataFrame) -> Dat
 
 NEEDS = ("parameters", "operations", "state", "latency_ms")
 RANK = {
-    False: ("parameters", "operations", "state"),
-    True: ("latency_ms", "state", "operations", "parameters"),
-}
+    False: ("parameters", "operations", "state"), True: ("latency_ms", "state", "operations", "parameters"),
+}  # fmt: skip
 """Online or not -> what simplicity goes by, first things first."""
 
 
@@ -157,9 +154,8 @@ def _judge_one(part: DataFrame, context: Context) -> DataFrame:
     """Judge all reducers on one recording."""
     import pandas as pd
 
-    worst = part.pivot_table(
-        index="reducer", columns=["condition", "measure"], values=["low", "high"], sort=False
-    )
+    columns, values = ["condition", "measure"], ["low", "high"]
+    worst = part.pivot_table(index="reducer", columns=columns, values=values, sort=False)
 
     def read(condition: str, measure: str, end: str = "high") -> Series:
         key = (end, condition, measure)
@@ -229,13 +225,8 @@ def choose(
     one = suffices[0] if suffices else min(running, key=order_failing)
     rank = itemgetter(*RANK[context.online])
     alike = [row["reducer"] for row in suffices if row is not one and rank(row) == rank(one)]
-    barred = [
-        row["reducer"]
-        for row in rows
-        if row["sufficient"]
-        and not row["in_budget"]
-        and (row["order"] < one["order"] or not suffices)
-    ]
+    late = [row for row in rows if row["sufficient"] and not row["in_budget"]]
+    barred = [row["reducer"] for row in late if row["order"] < one["order"] or not suffices]
     chosen |= {
         "answer": one["reducer"] if suffices else "", "closest": one["reducer"], "people": one["people"],
         "ties": " ".join(alike), "barred": (*barred, "")[0],
@@ -307,8 +298,7 @@ def compare_rated(ratings: Table | DataFrame | None, *, margin: float | None = N
         raise ValueError(f"margin must be a number of points above 0, got {margin:g}")
     if rows is not None and margin is not None:
         for part in split_arms(rows):
-            scenes = part.rows["recording"].astype(str)
-            for recording, own in part.rows.groupby(scenes, sort=False):
+            for recording, own in part.rows.groupby(part.rows["recording"].astype(str), sort=False):
                 found += [{"recording": str(recording), **one} for one in _compare(own, margin)]
     frame = pd.DataFrame(found, columns=list(COLUMNS))
     place = frame["agree"].map({name: number for number, name in enumerate(FAVOUR)})

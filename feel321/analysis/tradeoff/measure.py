@@ -201,10 +201,8 @@ def as_recordings(given: Recording | Iterable[Recording]) -> tuple[Recording, ..
     recordings = tuple(several) if isinstance(several, Iterable) else (several,)
     for one in recordings:
         if not isinstance(one, Recording):
-            raise TypeError(
-                f"recordings must be Recordings, got {describe(one)}; "
-                "make one with stimuli.read_recording or stimuli.Recording"
-            )
+            do = "make one with stimuli.read_recording or stimuli.Recording"
+            raise TypeError(f"recordings must be Recordings, got {describe(one)}; {do}")
     names = [one.name for one in recordings]
     doubled = [name for name in names if names.count(name) > 1]
     if doubled or not names:
@@ -398,10 +396,9 @@ class Stage:
         output = np.asarray(candidate.reduce(samples, self._rate_hz))
         is_real = output.dtype.kind in "iuf" and bool(np.isfinite(output).all())
         if output.shape != samples.shape[-1:] or not is_real:
-            raise ValueError(
-                f"reducer {candidate.name} must return finite real numbers of the shape {samples.shape[-1:]}, "
-                f"got {output.dtype} of shape {output.shape}"
-            )
+            must = f"must return finite real numbers of the shape {samples.shape[-1:]}"
+            got = f"got {output.dtype} of shape {output.shape}"
+            raise ValueError(f"reducer {candidate.name} {must}, {got}")
         return output.astype(np.float64, copy=False)
 
 

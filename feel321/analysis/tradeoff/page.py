@@ -196,9 +196,8 @@ def advise_tradeoff(
         choices.append(choose(str(name), ranked, facts=facts, context=context))
     if not len(own):
         why = "; ".join(f"{one['recording']}: {one['problem']}" for one in choices)
-        raise ValueError(
-            f"recordings must have motion from 20 to 1000 Hz, got none ({why}); check files and units"
-        )
+        got = f"got none ({why}); check files and units"
+        raise ValueError(f"recordings must have motion from 20 to 1000 Hz, {got}")
     simulated = bool(len(people) and people["simulated"].any())
     return Tradeoff(frame, verdicts, pd.DataFrame(choices), people, context, simulated)
 

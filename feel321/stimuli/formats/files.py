@@ -75,8 +75,7 @@ def read_mat(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
         said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         if done.returncode and said.startswith("MemoryError"):
             how = f"keep the recording alone, or set a larger {intake.LIMIT} in the environment"
-            most = f"its variables take more than {limit / 1e6:,.0f} MB"
-            raise intake.TooLargeError(f"{most}; {how}")
+            raise intake.TooLargeError(f"its variables take more than {limit / 1e6:,.0f} MB; {how}")
         if done.returncode:
             raise ValueError(intake.clip(said, 200) or "it ends the program that reads it")
         with np.load(io.BytesIO(done.stdout), allow_pickle=False) as archive:
@@ -116,8 +115,7 @@ def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
 def _choose(names: Sequence[str], request: tables.ReadingOptions, *, found: str) -> tables.Columns:
     """Choose the arrays of samples and time: as asked for, else by their names."""
     if request.columns is not None:
-        n = len(names)
-        return tables.pick_columns(request.columns, labels=names, n_columns=n, whole=True)
+        return tables.pick_columns(request.columns, labels=names, n_columns=len(names), whole=True)
     bare = [tables.split_unit(name, tables.ACCELERATION_SPELLINGS)[0] for name in names]
     if not any(tables.AXIS.fullmatch(one) or one.casefold() in ACCELERATION_KEYS for one in bare):
         must = "an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z'"
@@ -260,9 +258,8 @@ def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
         raise tables.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
     if not axes:
         got = ", ".join(list(tags)[:12]) or "none"
-        raise ValueError(
-            f"the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, got tags {got}"
-        )
+        what = f"got tags {got}"
+        raise ValueError(f"the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, {what}")
     units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
     samples = tables.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()})
     unit = tables.parse_unit(_only(sorted(units), "units")) if units else None

@@ -194,11 +194,8 @@ def _check_found(found: Mapping[str, list[int]], labels: Sequence[str]) -> tuple
 
 def pick_columns(
     wanted: Sequence[str | int],
-    *,
-    labels: Sequence[str] | None,
-    n_columns: int,
-    whole: bool = False,
-) -> Columns:
+    *, labels: Sequence[str] | None, n_columns: int, whole: bool = False,
+) -> Columns:  # fmt: skip
     """Take the columns that the caller names: (x, y, z) or (time, x, y, z), by label or by number from 0."""
     counts = {1, 2, AXES, AXES + 1} if whole else {AXES, AXES + 1}
     if isinstance(wanted, str) or not isinstance(wanted, Sequence) or len(wanted) not in counts:
@@ -267,9 +264,8 @@ def read_table(path: Path, request: ReadingOptions) -> Decoded:
         raise ValueError(f"there must be three axes x, y, z, got {n_columns} columns, no header")
     elif n_columns > AXES:
         how = "columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
-        raise ValueError(
-            f"{n_columns} columns without a header are ambiguous; say which, e.g. {how}"
-        )
+        do = f"say which, e.g. {how}"
+        raise ValueError(f"{n_columns} columns without a header are ambiguous; {do}")
     else:
         columns = Columns((0, 1, 2))
     if columns.time is None:

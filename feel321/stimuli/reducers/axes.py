@@ -82,22 +82,12 @@ def sqrt_hann(length: int) -> Samples:
 
 
 def reduce_in_frames(
-    processor_for: Callable[[tuple[int, ...], int], BlockProcessor],
-    acceleration: ArrayLike,
-    *,
-    rate_hz: float,
-    window_s: float,
-) -> Samples:
+    processor_for: Callable[[tuple[int, ...], int], BlockProcessor], acceleration: ArrayLike,
+    *, rate_hz: float, window_s: float,
+) -> Samples:  # fmt: skip
     """Check a recording and feed it through a block processor."""
     samples, _ = admit(acceleration, rate_hz)
     hop = window_samples(window_s, rate_hz) // 2
-    return run_offline(processor_for, samples, hop)
-
-
-def run_offline(
-    processor_for: Callable[[tuple[int, ...], int], BlockProcessor], samples: Samples, hop: int
-) -> Samples:
-    """Feed a whole signal, (..., 3, n), through a block processor."""
     *batch, _, n = samples.shape
     if not samples.size:
         return np.zeros((*batch, n))
@@ -213,17 +203,8 @@ def with_sign(axes: Samples) -> Samples:
     strength = np.abs(axes)
     first = np.argmax(strength >= (1 - NO_SIGN) * strength.max(axis=-1, keepdims=True), axis=-1)
     largest = np.take_along_axis(axes, first[..., None], axis=-1)
-    return np.asarray(
-        axes * np.where(np.where(np.abs(along) > NO_SIGN, along, largest) < 0, -1.0, 1.0)
-    )
-
-
-def turn_alike(axes: Samples) -> Samples:
-    """Flip axes, (..., m, 3), so that each points along the one before it; the first is left out of the result."""
-    along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
-    # An axis across the one before it keeps the sign that it has by itself: rounding must not choose.
-    signs = np.cumprod(np.where(along < -NO_SIGN, -1.0, 1.0), axis=-1)
-    return np.asarray(axes[..., 1:, :] * signs[..., None])
+    chosen = np.where(np.abs(along) > NO_SIGN, along, largest)
+    return np.asarray(axes * np.where(chosen < 0, -1.0, 1.0))
 
 
 class PrincipalFrames:
@@ -232,8 +213,7 @@ class PrincipalFrames:
     def __init__(self, batch: tuple[int, ...], hop: int, rate_hz: float) -> None:
         self.hop = hop
         self._forgetting = _forget(hop / rate_hz)
-        window = sqrt_hann(2 * hop) ** 2
-        self._rise, self._fall = np.split(window, 2)
+        self._rise, self._fall = np.split(sqrt_hann(2 * hop) ** 2, 2)
         self._previous = np.zeros((*batch, 3, 1, hop))
         self._valid = np.zeros((1, hop), dtype=bool)
         self._axis = np.full((*batch, 1, 3), 1 / np.sqrt(3))
@@ -246,11 +226,8 @@ class PrincipalFrames:
         frames = np.concatenate([blocks[..., :-1, :], blocks[..., 1:, :]], axis=-1)
         weights = np.concatenate([valid[:-1] * self._rise, valid[1:] * self._fall], axis=-1)
         axes = np.concatenate([self._axis, self._turned(*_segment_axes(frames, weights))], axis=-2)
-        self._previous, self._valid, self._axis = (
-            blocks[..., -1:, :].copy(),
-            valid[-1:],
-            axes[..., -1:, :],
-        )
+        self._previous, self._valid = blocks[..., -1:, :].copy(), valid[-1:]
+        self._axis = axes[..., -1:, :]
         mixed = axes[..., :-1, :, None] * self._fall + axes[..., 1:, :, None] * self._rise
         mixed /= np.maximum(np.linalg.norm(mixed, axis=-2, keepdims=True), _SHORTEST_MIX)
         return np.asarray(np.einsum("...mih,...imh->...mh", mixed, blocks[..., :-1, :]))
@@ -259,9 +236,8 @@ class PrincipalFrames:
         """Give every axis its sign; constant segments keep the axis before them."""
         axes = np.concatenate([self._axis, with_sign(axes)], axis=-2)
         own = np.where(constant, 0, np.arange(1, axes.shape[-2]))
-        own = np.concatenate(
-            [np.zeros_like(own[..., :1]), np.maximum.accumulate(own, axis=-1)], axis=-1
-        )
+        own = np.maximum.accumulate(own, axis=-1)
+        own = np.concatenate([np.zeros_like(own[..., :1]), own], axis=-1)
         axes = np.take_along_axis(axes, own[..., 1:, None], axis=-2)
         signs = np.ones(energies.shape)
         for place in range(energies.shape[-1]):
@@ -269,10 +245,8 @@ class PrincipalFrames:
             # An axis across the memory keeps the sign that it has by itself: rounding must not choose.
             across = NO_SIGN * np.abs(self._memory).sum(axis=-1)
             signs[..., place] = np.where(along < -across, -1.0, 1.0)
-            strength = signs[..., place] * energies[..., place]
-            self._memory = (
-                self._forgetting * self._memory + strength[..., None] * axes[..., place, :]
-            )
+            strength = (signs[..., place] * energies[..., place])[..., None]
+            self._memory = self._forgetting * self._memory + strength * axes[..., place, :]
         return np.asarray(axes * signs[..., None])
 
 
@@ -298,9 +272,8 @@ hold noticeably more before the axis turns. Without it the axis of isotropic mot
 def match_energy(total: Samples, kept: Samples) -> Samples:
     """Compute the gain that gives the kept signal the energy of all axes; at most `MOST_GAIN`, and 0 for silence."""
     limited = np.maximum(kept, total / MOST_GAIN**2)
-    return np.asarray(
-        np.sqrt(np.divide(total, limited, out=np.zeros_like(total), where=limited > 0))
-    )
+    ratio = np.divide(total, limited, out=np.zeros_like(total), where=limited > 0)
+    return np.asarray(np.sqrt(ratio))
 
 
 def pca321_matched_windowed(
@@ -338,12 +311,9 @@ class RunningAxis:
         kept = samples[..., self._axis, :]
         if not kept.size:
             return np.zeros(kept.shape)
-        powers = np.stack(
-            [np.einsum("...in,...in->...n", samples, samples), np.square(kept)], axis=-2
-        )
-        energies, self._energies = lfilter(
-            np.ones(1), np.array([1.0, -self._memory]), powers, zi=self._energies
-        )
+        squares = np.einsum("...in,...in->...n", samples, samples)
+        powers, poles = np.stack([squares, np.square(kept)], axis=-2), [1.0, -self._memory]
+        energies, self._energies = lfilter([1.0], poles, powers, zi=self._energies)
         return np.asarray(kept * match_energy(energies[..., 0, :], energies[..., 1, :]))
 
 
@@ -365,15 +335,13 @@ class MatchedFrames:
 
         del valid
         own = np.einsum("...imt,...jmt->...mij", blocks, blocks)
-        moments, self._moment = lfilter(
-            np.ones(1), np.array([1.0, -self._memory]), own, axis=-3, zi=self._moment
-        )
+        poles = [1.0, -self._memory]
+        moments, self._moment = lfilter([1.0], poles, own, axis=-3, zi=self._moment)
         first = self._axis
         axes = self._follow(moments, own)
         kept = np.einsum("...mi,...mij,...mj->...m", axes, moments, axes)
-        gains = np.concatenate(
-            [self._gain, match_energy(np.trace(moments, axis1=-2, axis2=-1), kept)], axis=-1
-        )
+        gains = match_energy(np.trace(moments, axis1=-2, axis2=-1), kept)
+        gains = np.concatenate([self._gain, gains], axis=-1)
         axes = np.concatenate([first[..., None, :], axes], axis=-2)
         blocks = np.concatenate([self._previous, blocks], axis=-2)
         self._previous, self._gain = blocks[..., -1:, :].copy(), gains[..., -1:]
@@ -399,15 +367,14 @@ class MatchedFrames:
         hold = HOLD * np.divide(past, energy, out=np.zeros_like(energy), where=energy > 0)
         for place in range(moments.shape[-3]):
             before = axes[..., place, :]
-            leaning = (
-                shares[..., place, :, :]
-                + hold[..., place, :, :] * before[..., :, None] * before[..., None, :]
-            )
-            axes[..., place + 1, :] = np.where(
-                energy[..., place, :, 0] > 0, leading_axis(leaning), before
-            )
+            held = hold[..., place, :, :] * before[..., :, None] * before[..., None, :]
+            leading = leading_axis(shares[..., place, :, :] + held)
+            axes[..., place + 1, :] = np.where(energy[..., place, :, 0] > 0, leading, before)
         axes[..., 1:, :] = with_sign(axes[..., 1:, :])
-        axes = turn_alike(axes)
+        along = np.einsum("...mi,...mi->...m", axes[..., 1:, :], axes[..., :-1, :])
+        # An axis across the one before it keeps the sign that it has by itself: rounding must not choose.
+        signs = np.cumprod(np.where(along < -NO_SIGN, -1.0, 1.0), axis=-1)
+        axes = axes[..., 1:, :] * signs[..., None]
         self._axis = axes[..., -1, :]
         return axes
 
@@ -430,8 +397,7 @@ def _match(keep: Callable[[Samples], tuple[Samples, Samples]]) -> _OneAxis:
     def match(acceleration: ArrayLike, rate_hz: float) -> Samples:
         samples, _ = admit(acceleration, rate_hz)
         kept, samples = keep(samples)
-        gain = match_energy(add_squares(samples, 2), add_squares(kept))
-        return gain[..., None] * kept
+        return match_energy(add_squares(samples, 2), add_squares(kept))[..., None] * kept
 
     return match
 
@@ -445,8 +411,7 @@ def _make_axis(axis: int) -> tuple[_OneAxis, _OneAxis, _OneAxis]:
 
     def run(acceleration: ArrayLike, rate_hz: float) -> Samples:
         samples, _ = admit(acceleration, rate_hz)
-        running = RunningAxis(samples.shape[:-2], axis, rate_hz)
-        return running.push(samples)
+        return RunningAxis(samples.shape[:-2], axis, rate_hz).push(samples)
 
     match = _match(lambda samples: (samples[..., axis, :], samples))
     name, does = f"sa{'xyz'[axis]}321", f"Keep the sensor's {'xyz'[axis]} axis"

@@ -107,8 +107,7 @@ def dft321_filtered(acceleration: ArrayLike, rate_hz: float) -> Samples:
     sample by sample. First-order bands overlap widely, and where the axes cancel nothing is left to be amplified.
     """
     samples, _ = admit(acceleration, rate_hz)
-    bank = FilterBank(samples.shape[:-2], rate_hz)
-    return bank.push(samples)
+    return FilterBank(samples.shape[:-2], rate_hz).push(samples)
 
 
 _AT_A_TIME = 2048

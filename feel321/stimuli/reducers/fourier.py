@@ -347,9 +347,8 @@ def align(spectra: Bins, energy: Samples, *, axis: Samples) -> Bins:
     projected = bin_energy(aligned)
     across = projected <= _ACROSS**2 * energy
     if across.any():
-        polarised = np.sqrt((x[across] ** 2 + y[across] ** 2 + z[across] ** 2) * _CUT) / np.sqrt(
-            _CUT
-        )
+        squares = x[across] ** 2 + y[across] ** 2 + z[across] ** 2
+        polarised = np.sqrt(squares * _CUT) / np.sqrt(_CUT)
         aligned[across] = np.where(polarised == 0, 1.0, polarised)
         projected[across] = bin_energy(aligned[across])
     np.divide(energy, projected, out=projected)
@@ -462,9 +461,8 @@ def _remember(values: Samples, state: Samples, *, axis: int) -> tuple[Samples, S
     """Leaky sum over frames; returns the sums, and the state for the next frames."""
     from scipy.signal import lfilter
 
-    if (
-        values.shape[axis] == 1
-    ):  # as a stream gives them: what `lfilter` does, in a tenth of its time
+    # As a stream gives them: what `lfilter` does, in a tenth of its time.
+    if values.shape[axis] == 1:
         sums = values + state
         return sums, MEMORY * sums
     return lfilter(np.ones(1), np.array([1.0, -MEMORY]), values, axis=axis, zi=state)

@@ -32,7 +32,7 @@ from feel321.doors import (
 )
 from feel321.jobs import Workers, as_workers, gather_results
 from feel321.names import REDUCER_NAMES
-from feel321.stimuli.guard import find_reducer
+from feel321.stimuli.own_methods import find_reducer
 from feel321.stimuli.recording import (
     SAFE_PEAK,
     Recording,
@@ -100,9 +100,8 @@ def reduce(
     samples = coerce_real(function(acceleration, rate), f"the output of {name_of(reducer)}")
     check_finite(samples, f"the output of {name_of(reducer)}")
     if samples.shape != acceleration.shape[-1:]:
-        raise ValueError(
-            f"reducer {name_of(reducer)} must return the shape {acceleration.shape[-1:]}, got {samples.shape}"
-        )
+        must = f"reducer {name_of(reducer)} must return the shape {acceleration.shape[-1:]}"
+        raise ValueError(f"{must}, got {samples.shape}")
     name = recording.name if isinstance(recording, Recording) else ""
     return Reduced(samples, rate, name_of(reducer), name)
 
@@ -343,25 +342,21 @@ class StreamingReducer:
         """
         samples = coerce_acceleration(block)
         if samples.ndim != 2:  # noqa: PLR2004 - axes x samples
-            raise ValueError(
-                f"block must have the shape (3, k), one stream at a time; got {samples.shape}"
-            )
+            got = f"got {samples.shape}"
+            raise ValueError(f"block must have the shape (3, k), one stream at a time; {got}")
         if self._flushed:
-            raise ValueError(
-                "the stream was flushed and its signal has ended; reset it or make a new StreamingReducer"
-            )
+            do = "reset it or make a new StreamingReducer"
+            raise ValueError(f"the stream was flushed and its signal has ended; {do}")
         if out is None:
             out = np.empty(samples.shape[1])
         elif out.shape != samples.shape[1:] or out.dtype != np.float64:
-            raise ValueError(
-                f"out must be float64 of shape {samples.shape[1:]}, got {out.dtype} of shape {out.shape}"
-            )
+            got = f"got {out.dtype} of shape {out.shape}"
+            raise ValueError(f"out must be float64 of shape {samples.shape[1:]}, {got}")
         check_finite(samples, "block")
         # A whole recording can be scaled by its peak; a stream cannot know the peak that is to come.
         if self._name not in _NO_MEMORY and largest(samples) > SAFE_PEAK[1]:
-            raise ValueError(
-                f"block must have a peak of at most {SAFE_PEAK[1]:g}, got {largest(samples):.3g}"
-            )
+            got = f"got {largest(samples):.3g}"
+            raise ValueError(f"block must have a peak of at most {SAFE_PEAK[1]:g}, {got}")
         np.copyto(out, self._stream(samples))
         return out
 

@@ -282,9 +282,8 @@ def find_copies(facts: Iterable[Facts]) -> list[str]:
     for one in facts:
         names[one.sha256].append(one.name)
     alike = [" and ".join(same) for sha256, same in names.items() if sha256 and len(same) > 1]
-    return [
-        f"recordings {same} hold the same; leave one out, unless that is meant" for same in alike
-    ]
+    do = "leave one out, unless that is meant"
+    return [f"recordings {same} hold the same; {do}" for same in alike]
 
 
 def _write_recording(
@@ -352,13 +351,9 @@ def _write(
 
 
 def _publish(
-    folder: Path,
-    parts: Path,
-    lines: Sequence[Built],
-    *,
-    stale: set[str],
-    details: Mapping[str, Any],
-) -> StimulusSet:
+    folder: Path, parts: Path, lines: Sequence[Built],
+    *, stale: set[str], details: Mapping[str, Any],
+) -> StimulusSet:  # fmt: skip
     """Move finished files into the set and remove what is no longer wanted, without a manifest meanwhile."""
     rows = [line.row for line in lines]
     stale = stale - {row.file for row in rows}

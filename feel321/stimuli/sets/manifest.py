@@ -112,9 +112,7 @@ COLUMN_UNITS: dict[str, str] = {
 COLUMNS = tuple(COLUMN_UNITS)
 FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]  # their cells may be empty
 STRONG_GAIN = 100.0  # 40 dB: such a recording is mostly sensor noise, or its unit is wrong
-ROUNDING = (
-    1e-9  # in the temporal match of an anchor, which is 0; so may a silent test stimulus's be
-)
+ROUNDING = 1e-9  # in an anchor's temporal match, which is 0; so may a silent test stimulus's be
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)

@@ -82,9 +82,7 @@ def read_given(given: Recording | Unread) -> Recording:
 
 
 EASILY_FELT = 2.0  # thresholds of acceleration up to this multiple of the lowest: up to 250 Hz
-ENVELOPE_HZ = (
-    50.0  # envelopes are followed so far: energy in shorter segments is hard to tell apart
-)
+ENVELOPE_HZ = 50.0  # envelopes are followed so far: energy in less time is hard to tell apart
 FAINT = 0.1  # of the energy in the quietest band of all: it may hardly be felt, and cost headroom
 PRECEDENCE = 1000  # a band with 1 % more energy than the quietest gets exp(-10) of its share
 LOWEST_SHARE = 1e-30  # bands with less of the energy are left out: 300 dB below the hum
@@ -143,9 +141,8 @@ def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
     # Least at ten times the floor, and higher again below it: no threshold, or a band could cross it by rounding.
     energy = np.maximum(energy, floor)
     energy = energy + 10 * floor * (10 * floor / energy)
-    inside = (frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)) & (
-        frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
-    )
+    inside = frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)
+    inside &= frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
     lowest = acceleration_threshold(LOWEST_HZ)
     easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * lowest
     shares = [_share(energy, inside), _share(energy, inside & easily_felt)]
@@ -181,8 +178,7 @@ def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold
     from scipy.optimize import brentq
 
     def measure(samples: Samples) -> tuple[float, float]:
-        levels = loudest_levels(samples, recording.rate_hz, [threshold])
-        return largest(samples), levels[threshold]
+        return largest(samples), loudest_levels(samples, recording.rate_hz, [threshold])[threshold]
 
     def flatten(much: float) -> Samples:
         return np.asarray(envelope / np.sqrt(1 + much * envelope**2))
@@ -348,9 +344,8 @@ class Recipe:
             except ValueError as error:
                 raise ValueError(f"recording {recording!r}: {error}") from None
             if not 0 < own.get("gain", 1.0) < float("inf"):
-                raise ValueError(
-                    f"gain of {recording} must be a finite number above 0, got {own['gain']}"
-                )
+                got = f"got {own['gain']}"
+                raise ValueError(f"gain of {recording} must be a finite number above 0, {got}")
         rules = {
             "rate_hz": (whole, f"a whole number of Hz from {low} to {high}"),
             "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
@@ -385,9 +380,8 @@ def check_names(names: Sequence[str]) -> None:
     for name in names:
         if not _NAME.fullmatch(name):
             must = "up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter or digit"
-            raise ValueError(
-                f"a recording's name must be {must}; got {name!r}, give it another name"
-            )
+            got = f"got {name!r}, give it another name"
+            raise ValueError(f"a recording's name must be {must}; {got}")
         # Some file systems do not distinguish capitals from small letters.
         if name.casefold() in seen:
             raise ValueError(f"recording name {name!r} is there twice; rename one of them")

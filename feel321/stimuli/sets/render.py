@@ -20,7 +20,6 @@ from feel321.doors import check_name
 from feel321.extensions import Method
 from feel321.names import ANCHOR, METRIC_INFO
 from feel321.stimuli.condition import condition, fade, resample
-from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.match import (
     OriginalSpectrum,
     axis_correlations,
@@ -28,6 +27,7 @@ from feel321.stimuli.match import (
     mean_over_axes,
 )
 from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.recipe import (
@@ -218,12 +218,10 @@ def _play(reducer: str, scale: _Scale, recipe: Recipe) -> tuple[Samples, Samples
     if reducer == ORIGINAL:
         return recording.acceleration, scale.played
     if reducer not in ANCHORS:
-        reduce = find_reducer(recipe, reducer)
-        samples = reduce(recording.acceleration, recording.rate_hz)
+        samples = find_reducer(recipe, reducer)(recording.acceleration, recording.rate_hz)
         return samples, _for_the_rig(samples, recording.rate_hz, recipe)
     # By names, not by samples: a seed from those would differ with the last digit of anything before it.
-    seed = [recipe.seed, *f"{recording.name}/{reducer}".encode()]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([recipe.seed, *f"{recording.name}/{reducer}".encode()])
     samples = ANCHORS[reducer](recording, rng, threshold=recipe.threshold)
     played = _for_the_rig(samples, recording.rate_hz, recipe)
     own = loudest_levels(played, recipe.rate_hz, [recipe.threshold])[recipe.threshold]

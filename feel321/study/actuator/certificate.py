@@ -285,6 +285,9 @@ def read_certificate(path: Path) -> Certificate:
             raise ValueError("not a certificate of calibrate's; calibrate again") from None
         if not is_sealed:
             raise ValueError("was changed after it was written; restore it, or calibrate again")
+        if isinstance(entry.get("sensor"), dict):  # what is not set, an older feel321 wrote as null
+            own = entry["sensor"].items()
+            entry["sensor"] = {key: value for key, value in own if value is not None}
         try:
             return _CERTIFICATE.validate_python(entry)
         except ValidationError as error:

@@ -168,8 +168,7 @@ def reduce_stimuli(
         for one in own:
             reduction = made[one.reducer]
             spectrum = spectrum or OriginalSpectrum(reduction.acceleration, reduction.rate_hz)
-            gain = one.gain * reduction.factor
-            found[one.stimulus_id] = Baseline(reduction, spectrum, gain)
+            found[one.stimulus_id] = Baseline(reduction, spectrum, one.gain * reduction.factor)
     return found
 
 

@@ -1,36 +1,30 @@
 """A check of the rig: its devices, a quiet train of pulses through the output of sessions, and each coil by name."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from feel321.study.actuator import faults
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
+from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import Response, Sweep, make_sweep, measure_sweep
 from feel321.study.actuator.rig import ActuatorTable, Rig, find_allowed, require_sensor
-
-if TYPE_CHECKING:
-    from feel321.study.actuator.mixer import Frames
-    from feel321.study.session.ports import Playback
-    from feel321.types import Samples
+from feel321.study.session.ports import Playback
+from feel321.types import Samples
 
 RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
 
 PULSE_S = 0.02
 PULSE_HZ = 250.0  # where skin is most sensitive
 PULSE_LEVEL = 0.1  # of full scale or of the peak that the rig allows, whichever is less
-LIKENESS = (
-    0.5  # of a sensed pulse with what was sent: white noise reached 0.33, pulses through coils 0.8
-)
+LIKENESS = 0.5  # of a sensed pulse with what was sent: white noise reached 0.33, coils 0.8
 GAPS_S = (0.1, 0.113, 0.127, 0.139, 0.151)  # uneven, out of step with the device's blocks
 
 
@@ -57,8 +51,8 @@ def examine_rig(
 ) -> dict[str, Any]:
     """Play pulses on all actuators, and measure latency, jitter and failures; on_step gets the ms passed, and all."""
     pulse = make_pulse(rig, rate_hz=rate_hz, seconds=min(PULSE_S, rig.limits.duration_s))
-    played: list[Playback] = []
-    lags_ms: list[float] = []
+    played = list[Playback]()
+    lags_ms = list[float]()
     with open_output(rig, {"": pulse}, rate_hz=rate_hz, clock=perf_counter) as output:
         begin_s = perf_counter()
         while (passed_s := perf_counter() - begin_s) < seconds or not played:

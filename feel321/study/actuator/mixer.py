@@ -378,8 +378,7 @@ class Mixer:
             pulse = block[max(onset, 0) : max(onset + self._sync_frames, 0)]
             pulse[:, self._sync.channel - 1] = self._sync.level
         cue.n_played += self._fade(piece) if is_stopping else len(piece)
-        is_over = is_stopping or cue.is_at_end
-        return self.frame + first + len(piece) if is_over else None
+        return self.frame + first + len(piece) if is_stopping or cue.is_at_end else None
 
     def _fade(self, piece: Frames) -> int:
         """Fade a vibration out in this piece; returns how many samples are left, the last of the fade being 0."""

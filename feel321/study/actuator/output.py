@@ -4,25 +4,27 @@ A rig plays through one sink that runs for the whole session, and is opened agai
 dry, stands still or disappears is reported in the playback, not raised.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from math import isnan
+from pathlib import Path
 from threading import Thread
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from feel321.files import make_folder, write_bytes
+from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.wav import encode_wav
 from feel321.study.actuator.device import (
+    BlockTimes,
     DeviceStream,
     FileSink,
+    SessionClock,
     SimulatedStream,
     Sink,
     Trigger,
@@ -34,13 +36,7 @@ from feel321.study.actuator.response import Sweep, find_slip
 from feel321.study.actuator.rig import Rig, advise_latency, identify, require_sensor
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.actuator.device import BlockTimes, SessionClock
-    from feel321.types import Samples
+from feel321.types import Samples
 
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
@@ -431,9 +427,8 @@ class Bench:
 
     def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
         """Play sweeps, shape (n,), until their recordings are in step."""
-        n = len(sent)
         return self.insist(
-            lambda: self.play({channel: sent}, n=n), lambda got: find_slip(got, sweep)
+            lambda: self.play({channel: sent}, n=len(sent)), lambda got: find_slip(got, sweep)
         )
 
     def insist(self, play: Callable[[], Samples], slip_of: Callable[[Samples], int]) -> Samples:

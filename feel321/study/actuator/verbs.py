@@ -19,7 +19,7 @@ from feel321.study.actuator.rig import (
 )
 from feel321.study.folder import Outcome, UsageError, require_study
 from feel321.study.settings.read import read_settings
-from feel321.study.terminal import ask, echo, is_answerable, lay_facts
+from feel321.study.terminal import ask, echo, format_facts, is_answerable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -74,8 +74,7 @@ def calibrate_rig(
     verdict = "passed" if passed else "did not pass"
     until = f"valid until {certificate.expires_utc[:10]}"
     line = f"certificate {certificate.id} ({certificate.method}): {verdict}; {until}"
-    lines = [line, *lay_facts(facts["coils"])]
-    return Outcome(facts, lines, failed=not passed)
+    return Outcome(facts, [line, *format_facts(facts["coils"])], failed=not passed)
 
 
 def _read_gain(text: str) -> tuple[str, float]:
@@ -176,7 +175,7 @@ def examine_study_rig(lab: OpenStudy, *, device: str | None, seconds: float) -> 
             known = _probe(lab, rig, rate_hz=rate_hz)
     facts = {"devices": devices, "examination": found or None, "rig": known or None}
     nothing = "nothing was played; name a device with --device, or in the study's rig.toml"
-    lines = [*lay_facts(facts), *([] if found else [nothing])]
+    lines = [*format_facts(facts), *([] if found else [nothing])]
     if found and found["is_program"]:
         lab.say(
             f"{found['device']}: a program plays it (a sound server, say), which may convert the rate and copy "

@@ -1,22 +1,16 @@
 """What the checkpoints of a study, here and at its remotes, say of its files as they are now."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
 
 from feel321.study import checkpoints
 from feel321.study.checkpoints import EVIDENCE, Checkpoint, FileMark, is_journal
+from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import digest, name_journal
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
 
 NOTED = {"rig.toml", "frozen.json"}
 """May change at any time: each session's header holds the rig, and frozen.json its own history."""

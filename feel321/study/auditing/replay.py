@@ -1,7 +1,5 @@
 """The engine, run on what a journal says was done: where it would write something else, the journal is untrue."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -9,17 +7,14 @@ from dataclasses import fields
 from itertools import islice, takewhile
 from math import isclose, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from feel321.protocols.trial import Scale
+from feel321.protocols.texts import Question
+from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.study.session import events, ports
 from feel321.study.session.engine import Session, find_choices
 from feel321.study.session.journal import Journal, Record, utc_now
-
-if TYPE_CHECKING:
-    from feel321.protocols.texts import Question
-    from feel321.protocols.trial import Page, Part, Trial
-    from feel321.study.session.plan import Plan
+from feel321.study.session.plan import Plan
 
 MALFORMED = (AttributeError, LookupError, TypeError, RecursionError, ArithmeticError)
 """Errors of reading a plan or record that holds other fields, or other types, than feel321 writes."""
@@ -62,7 +57,7 @@ def audit_steps(records: Sequence[Record], plan: Plan) -> Iterator[str]:
         yield f", {place}{text}"
 
 
-def _follow(paper: _Paper, plan: Plan) -> None:
+def _follow(paper: "_Paper", plan: Plan) -> None:
     """Follow a journal to its end: the engine leads, and in between stands what others did."""
     answered = [one for one in paper.truth if one.event == events.QuestionAnswered.event]
     tape: Any = _Tape(paper)
@@ -150,7 +145,7 @@ class _Paper(Journal):
 class _Tape:
     """A presenter that does what the journal says was done next."""
 
-    def __init__(self, paper: _Paper) -> None:
+    def __init__(self, paper: "_Paper") -> None:
         self._paper = paper
         self._page = ""
         self._attempt: events.Attempt

@@ -23,37 +23,15 @@ from typing import TYPE_CHECKING, Any
 from feel321 import intake
 from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
+from feel321.study import ratings
 from feel321.study.auditing.evidence import Evidence, weigh
 from feel321.study.auditing.replay import MALFORMED, audit_steps
 from feel321.study.folder import RATING_COLUMNS, Audit, list_delivered
 from feel321.study.freeze import describe_frozen, find_faults
-from feel321.study.numbers import Holder, find_doubles, read_holder
-from feel321.study.people import (
-    ROSTER_FILE,
-    Progress,
-    describe_rigs,
-    find_leftovers,
-    list_roster,
-    make_progress,
-)
-from feel321.study.persons import answers
-from feel321.study.persons.withdrawal import find_data_left, list_stale
-from feel321.study.ratings import (
-    MATCH_COLUMNS,
-    MATCHES_FILE,
-    find_misplaced,
-    list_judgements,
-    list_matches,
-)
-from feel321.study.session import events
-from feel321.study.session.journal import (
-    Chain,
-    Record,
-    Records,
-    list_journals,
-    name_journal,
-    read_journal,
-)
+from feel321.study.participants import answers, roster
+from feel321.study.participants.numbers import Holder, find_doubles, read_holder
+from feel321.study.participants.withdrawal import find_data_left, list_stale
+from feel321.study.session import events, journal
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Dossier, Plan, require_plan
 
 if TYPE_CHECKING:
@@ -101,8 +79,9 @@ def examine(
         wrong, remarks = tables.compare()
         evidence = weigh(study, expect=expect, remotes=remotes)
         findings += [*wrong, *evidence.findings]
-    remarks = [*evidence.remarks, *remarks, *_audit_inputs(study), *describe_rigs(tables.people)]
-    remarks += [*_guard(study.path, list_stale(study)), *filter(None, [describe_frozen(study)])]
+    remarks = [*evidence.remarks, *remarks, *_audit_inputs(study)]
+    remarks += [*roster.describe_rigs(tables.people), *_guard(study.path, list_stale(study))]
+    remarks += filter(None, [describe_frozen(study)])
     every = dict.fromkeys([*findings, *find_faults(study)])
     said, newest = evidence.sentence, evidence.checkpoint
     return Audit(tuple(every), tuple(remarks), said, newest, len(study.journals))
@@ -150,7 +129,7 @@ def _audit_inputs(study: StudyFolder) -> Iterator[str]:
 
 def _audit_participant(folder: Path, tables: Tables) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists():
-        yield from find_leftovers(folder)
+        yield from roster.find_leftovers(folder)
         return
     dossier, stimuli = None, tables.stimuli
     with suppress(*MALFORMED, OSError, ValueError):  # found below, part by part
@@ -174,25 +153,25 @@ def _audit_participant(folder: Path, tables: Tables) -> Iterator[str]:
 
 def audit_journals(folder: Path, plan: Plan, dossier: Dossier | None = None) -> Iterator[str]:
     """Verify all journals of a participant; dossier: as they were read, where all could be."""
-    journals, known = list_journals(folder), dict[Path, Chain]()
+    journals, known = journal.list_journals(folder), dict[Path, journal.Chain]()
     if dossier:
         known = dict(zip(journals, dossier.chains, strict=True))
     for path in sorted(folder.glob("session-*.jsonl")):  # Copies under other names too.
         yield from _guard(path, _audit_journal(path, plan, known))
     for session, path in enumerate(journals, start=1):
-        if path.name != name_journal(session):
-            yield f"{path}: is there without {name_journal(session)} before it"
+        if path.name != journal.name_journal(session):
+            yield f"{path}: is there without {journal.name_journal(session)} before it"
             return
         if path == journals[-1] or path not in known:
             continue
         superseded = events.SessionSuperseded.event
         by = [one.data.get("by") for one in known[path].records if one.event == superseded]
         if session + 1 not in by:
-            yield f"{path}: does not mention {name_journal(session + 1)}, which stands beside it"
+            yield f"{path}: does not mention {journal.name_journal(session + 1)}, which stands beside it"
 
 
-def _audit_journal(path: Path, plan: Plan, known: dict[Path, Chain]) -> Iterator[str]:
-    chain = known[path] = known.get(path) or read_journal(path)
+def _audit_journal(path: Path, plan: Plan, known: dict[Path, journal.Chain]) -> Iterator[str]:
+    chain = known[path] = known.get(path) or journal.read_journal(path)
     records = chain.records
     if chain.torn:
         yield f"{path}: ends in {len(chain.torn)} bytes of an unfinished line; resuming moves them aside"
@@ -207,7 +186,7 @@ def _audit_journal(path: Path, plan: Plan, known: dict[Path, Chain]) -> Iterator
             yield f"{path}: has no header"
         return
     for findings in (
-        find_misplaced(path, header, plan),
+        ratings.find_misplaced(path, header, plan),
         _audit_header(header, plan, path),
         _audit_clocks(header, records),
         _audit_content(records, plan, path.parent),
@@ -230,7 +209,7 @@ def _audit_header(header: events.SessionBegun, plan: Plan, path: Path) -> Iterat
             yield f", line 1: has {name} {got}, the plan says {planned}"
 
 
-def _audit_clocks(header: events.SessionBegun, records: Sequence[Record]) -> Iterator[str]:
+def _audit_clocks(header: events.SessionBegun, records: Sequence[journal.Record]) -> Iterator[str]:
     """Find where the time of day and the presenter's clock part, and nothing says why."""
     if header.identity.get("presenter", {}).get("simulated", True):
         return  # Simulated participants have a clock of their own.
@@ -253,7 +232,7 @@ def _audit_clocks(header: events.SessionBegun, records: Sequence[Record]) -> Ite
         before, is_asleep = record, False
 
 
-def _audit_content(records: Records, plan: Plan, folder: Path) -> Iterator[str]:
+def _audit_content(records: journal.Records, plan: Plan, folder: Path) -> Iterator[str]:
     """Check that time runs forwards, run the session again, and where that holds look at the files that it names."""
     for before, record in pairwise(records):
         if record.utc < before.utc and record.event != events.ClockStepped.event:
@@ -278,14 +257,14 @@ Row = Mapping[str, str]
 ANEW = "derive it anew: feel321 analyze"
 
 KEYS = {  # columns that name a row
-    ROSTER_FILE: ("participant",),
+    roster.ROSTER_FILE: ("participant",),
     "ratings.csv": ("participant", "session", "trial", "stimulus_id", "reference_id", "scale", "other_id"),
     answers.ANSWERS_FILE: ("participant", "session", "question", "occasion"),
-    MATCHES_FILE: ("participant", "trial", "stimulus_id"),
+    ratings.MATCHES_FILE: ("participant", "trial", "stimulus_id"),
 }  # fmt: skip
 
 COLUMNS: Mapping[str, Sequence[str]] = {
-    "ratings.csv": RATING_COLUMNS, MATCHES_FILE: MATCH_COLUMNS, answers.ANSWERS_FILE: answers.COLUMNS,
+    "ratings.csv": RATING_COLUMNS, ratings.MATCHES_FILE: ratings.MATCH_COLUMNS, answers.ANSWERS_FILE: answers.COLUMNS,
 }  # fmt: skip
 
 FIXED = {"participant", "number", "simulated", "first_utc", "total"}
@@ -297,7 +276,7 @@ class Tables:
 
     def __init__(self, study: StudyFolder, stimuli: StimulusSet | None) -> None:
         self.study, self.stimuli = study, stimuli
-        self.people, self.unread = list[Progress](), set[str]()
+        self.people, self.unread = list[roster.Progress](), set[str]()
         self._rows: dict[str, list[dict[str, Any]]] = {}
         if stimuli and study.participants:  # without, ratings may come from elsewhere
             self._rows = {name: [] for name in COLUMNS}
@@ -306,18 +285,18 @@ class Tables:
         """Derive the rows of a participant, all or none."""
         own: dict[str, list[dict[str, Any]]] = {}
         if self.stimuli:
-            own["ratings.csv"] = list_judgements(dossier, self.stimuli)
-            own[MATCHES_FILE] = [*list_matches(dossier, self.stimuli)]
+            own["ratings.csv"] = ratings.list_judgements(dossier, self.stimuli)
+            own[ratings.MATCHES_FILE] = [*ratings.list_matches(dossier, self.stimuli)]
             own[answers.ANSWERS_FILE] = answers.list_answers(dossier)
-        self.people.append(make_progress(dossier))
+        self.people.append(roster.make_progress(dossier))
         for name, rows in own.items():
             self._rows[name] += rows
 
     def compare(self) -> tuple[list[str], list[str]]:
         """Compare all tables that are there with the journals; returns findings and remarks."""
         findings, remarks = list[str](), list[str]()
-        columns, roster = list_roster(self.people)
-        for name, rows in {ROSTER_FILE: roster, **self._rows}.items():
+        columns, people = roster.list_roster(self.people)
+        for name, rows in {roster.ROSTER_FILE: people, **self._rows}.items():
             path = self.study.path / name
             lines = [*list_csv(COLUMNS.get(name, columns), rows)]
             if not path.is_file() or path.read_bytes() == "".join(lines).encode():
@@ -330,7 +309,7 @@ class Tables:
                 findings.append(f"{path}: cannot be read ({error}); {ANEW}")
                 continue
             # What changes as a session goes on; one that was begun anew is rejected as a whole.
-            lagging = {*columns} - FIXED if name == ROSTER_FILE else {"rejected"}
+            lagging = {*columns} - FIXED if name == roster.ROSTER_FILE else {"rejected"}
             kept = [one for one in written if one[1].get("participant") not in self.unread]
             wrong, late = _compare([*csv.DictReader(lines)], kept, key=KEYS[name], lagging=lagging)
             findings += [f"{path}{text}; {ANEW}" for text in wrong]

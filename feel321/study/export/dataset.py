@@ -1,7 +1,5 @@
 """A study as a BIDS dataset of behavioural data (`beh`), and `methods.md`: the methods section of a paper."""
 
-from __future__ import annotations
-
 import hashlib
 import hmac
 import json
@@ -9,9 +7,10 @@ import math
 import re
 import secrets
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 
@@ -32,22 +31,17 @@ from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.study.actuator.certificate import list_certificates, read_certificate
 from feel321.study.checkpoints import find_newest
-from feel321.study.folder import RATING_COLUMNS
+from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.freeze import list_info, read_frozen
-from feel321.study.numbers import WITHDRAWN, read_holders
 from feel321.study.own_protocols import OURS
-from feel321.study.people import list_progress, write_roster
+from feel321.study.participants.numbers import WITHDRAWN, read_holders
+from feel321.study.participants.roster import list_progress, write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, TrialRated
 from feel321.study.settings.read import read_settings, read_study_texts
 from feel321.study.settings.recordings import list_origins
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from feel321.study.folder import StudyFolder
-    from feel321.study.settings.schema import Settings
-    from feel321.types import MetricInfo
+from feel321.study.settings.schema import Settings
+from feel321.types import MetricInfo
 
 BIDS_VERSION = "1.11.0"
 MISSING = "n/a"  # what BIDS writes in a cell without a value
@@ -310,8 +304,7 @@ def count_flow(study: StudyFolder) -> dict[str, Any]:
 
 def write_methods(study: StudyFolder, report: Path) -> None:
     """Write the methods section beside a report, whose `results.json` holds the numbers."""
-    results = json.loads(intake.read_text(report / "results.json"))
-    text = make_methods(study, results)
+    text = make_methods(study, json.loads(intake.read_text(report / "results.json")))
     write_text(report / METHODS, text, private=report == study.report)
 
 

@@ -29,15 +29,14 @@ Every draw depends on seed, participant, trial and attempt alone, so that a sess
 an uninterrupted one. The participants' clock adds up what stimuli, pages and answers take.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import re
 from bisect import bisect_right
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 from zlib import crc32
 
 import numpy as np
@@ -45,18 +44,14 @@ import numpy as np
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import RATING_RANGE, SURFACE, Judgement, Trial
+from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.sets.recipe import ORIGINAL
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
 from feel321.study.minutes import UNHURRIED
+from feel321.study.session.ports import Tone
 from feel321.study.settings.about import ObserverTable
 from feel321.study.settings.fields import one_of
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.session.ports import Tone
-    from feel321.study.settings.schema import Settings
+from feel321.study.settings.schema import Settings
 
 LOW, HIGH = RATING_RANGE
 

@@ -1,16 +1,15 @@
 """Simulated participants: what they answer, and the presenter that needs no screen and no actuator."""
 
-from __future__ import annotations
-
 import math
+from collections.abc import Iterator, Mapping
 from functools import partial
 from math import ceil, floor
-from typing import TYPE_CHECKING
 from zlib import crc32
 
 import numpy as np
 
 from feel321.protocols import threshold as blocks
+from feel321.protocols.texts import Answer, Question
 from feel321.protocols.threshold import DB_PER_POINT, INTERVALS, MIDDLE, SECOND
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Page, Part, Scale, Trial
 from feel321.stimuli.thresholds import acceleration_threshold, to_db
@@ -18,13 +17,7 @@ from feel321.study.minutes import STROKE_S
 from feel321.study.observer import model as models
 from feel321.study.observer.model import HALF, Experience, ObserverModel, Touch, draw_rater
 from feel321.study.session import ports
-from feel321.study.session.ports import Act, Confirm, Feel, Place, Playback, Scaled, Tone
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from feel321.protocols.texts import Answer, Question
-    from feel321.study.session.ports import Felt
+from feel321.study.session.ports import Act, Confirm, Feel, Felt, Place, Playback, Scaled, Tone
 
 SIMULATED_TEXT = "simulated"  # the answer to a question that asks for a text
 

@@ -194,8 +194,7 @@ class Answer:
             case "click":
                 return self._click(event, target)
             case "drag" if self._dragged and can_answer:
-                value = self._dragged.find_points(event.x)
-                self._set(self._dragged.part, value, event.time_s)
+                self._set(self._dragged.part, self._dragged.find_points(event.x), event.time_s)
             case "unfocused":
                 self._held = ""
             case "release" if self._held == (self._keys.name_action(event.key) or event.key):

@@ -28,12 +28,12 @@ ABOVE, TRACK, UNDER = 8.0, 4.5, 1.0
 BLOCK, BLOCK_TRACK, LEAST_PICTURE = 15.0, 4.0, 12.0
 MARGIN, VALUE = 2.5, 9.0
 
-HINTS = {
+HINTS = {  # the keys that have no button, by kind of screen
     "slider": ("move", "coarse_rows", "digits"),
     "rows": ("feel", "loop", "choose", "move", "coarse_rows"),
     "scales": ("move", "coarse_rows", "digits"),
     "choice": ("pick",),
-}  # the keys that have no button, by kind of screen
+}
 
 
 def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
@@ -182,8 +182,7 @@ def _add_points(sheet: Sheet, view: View, options: Sequence[str], *, box: Box) -
         upper = Box(field.left, field.top, field.width, field.height * 0.62)
         lower = Box(field.left, upper.bottom, field.width, field.height * 0.38)
         sheet.write(upper, str(place + 1), ui.QUESTION, color=ink, bold=True, align="center")
-        mark = CHOSEN if is_chosen else OPEN
-        sheet.write(lower, mark, ui.SMALL, color=ink, align="center")
+        sheet.write(lower, CHOSEN if is_chosen else OPEN, ui.SMALL, color=ink, align="center")
         align, left = "center", field.left + field.width / 2 - room / 2
         if room > step:
             align = "left" if place == 0 else "right"
@@ -260,8 +259,7 @@ class _TrialLayout:
             prompt = self.texts.prompts["surface" if view.sample else "surface_unnamed"]
             question = prompt.format(sample=view.sample)
         lines = sheet.wrap(question, body.width, ui.QUESTION, bold=True)
-        box = Box(body.left, top, body.width)
-        sheet.write(box, lines, ui.QUESTION, bold=True, align="center")
+        sheet.write(Box(body.left, top, body.width), lines, ui.QUESTION, bold=True, align="center")
         sheet.limit_lines(len(lines), most=QUESTION_LINES, what="question")
         top += sheet.find_height(len(lines), ui.QUESTION) + (1.5 if is_rows else 3.0) * unit
         if view.picture and not is_rows:

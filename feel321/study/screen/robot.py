@@ -4,21 +4,15 @@ The answers come from the participant of `observer`, so that the same person giv
 here as in `feel321 simulate`. The next key follows from what is on the screen alone.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Mapping, Sequence
 from math import copysign
-from typing import TYPE_CHECKING
 
+from feel321.protocols.texts import Question
 from feel321.protocols.trial import MATCHING, Part, Trial
 from feel321.study.keys import PLAY, USUAL, KeysTable
+from feel321.study.observer.simulated import Participant
 from feel321.study.screen.input import BACKSPACE, ENTER, LISTS, MOVES, Hand, InputEvent, View
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from feel321.protocols.texts import Question
-    from feel321.study.observer.simulated import Participant
-    from feel321.study.session.ports import Felt
+from feel321.study.session.ports import Felt
 
 RETRY_S, RETRIES = 2.0, 15  # pause before a failed device is tried again, and how often that is
 THINKING_S = 0.3  # before the first key; answers in less than 0.2 s would count as too fast

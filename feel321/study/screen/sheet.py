@@ -306,5 +306,4 @@ class Sheet:
         boxes = self.line_up([*map(sum, zip(keys, actions, strict=True))], 4.5 * unit, strip)
         for (key, action), box, own, other in zip(words, boxes, keys, actions, strict=True):
             self.write(box._replace(width=own - unit), key, SMALL, color=DIM, bold=True)
-            beside = box._replace(left=box.left + own, width=other)
-            self.write(beside, action, SMALL, color=DIM)
+            self.write(box._replace(left=box.left + own, width=other), action, SMALL, color=DIM)

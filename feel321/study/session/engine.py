@@ -289,11 +289,8 @@ class _Attempt(events.Attempt):
 
     def _prepare(self) -> tuple[float, dict[str, ports.Tone | ports.Scaled]]:
         """Find the silence before each part, and what parts hold that are no stimuli of the set as they are."""
-        session, trial, gap_s = (
-            self._session,
-            self.trial,
-            find_gap(self.trial, self._task, self._flow),
-        )
+        session, trial = self._session, self.trial
+        gap_s = find_gap(trial, self._task, self._flow)
         own: dict[str, ports.Tone | ports.Scaled] = {}
         if session.detection and trial.protocol == THRESHOLD:
             block, shown = session.detection.block, session.detection.present(trial)
@@ -306,8 +303,7 @@ class _Attempt(events.Attempt):
             offset_db = session.matching.find_offset(trial.number, self._marker)
             for part in trial.parts:
                 gain_db = (offset_db if part.name == SECOND else 0.0) - ATTENUATION_DB
-                stimulus = session.stimuli[str(part.stimulus_id)]
-                own[part.name] = ports.Scaled(stimulus, gain_db)
+                own[part.name] = ports.Scaled(session.stimuli[str(part.stimulus_id)], gain_db)
         return gap_s, own
 
     def is_spoiled(self) -> bool:

@@ -32,9 +32,8 @@ class SessionEvent:
     """Something that happened in a session; a subclass gives its name."""
 
     event: ClassVar[str] = ""
-    optional: ClassVar[frozenset[str]] = (
-        frozenset()
-    )  # fields that a record leaves out where they are empty
+    # Fields that a record leaves out where they are empty.
+    optional: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls, event: str = "") -> None:  # noqa: D105 - every subclass is a record
         dataclass(frozen=True)(cls)

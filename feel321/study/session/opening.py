@@ -1,26 +1,20 @@
 """How a session is begun or resumed: what must not have changed since, and what happens after a long break."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from datetime import datetime, timedelta
 from importlib.metadata import version
+from pathlib import Path
 from platform import platform, python_version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.files import hold_lock
 from feel321.study.session import events
 from feel321.study.session import journal as journals
+from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Plan, Stale, require_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
-    from pathlib import Path
-
-    from feel321.study.session.journal import Clock, Journal
 
 JOURNAL_FORMAT = 1  # in the header of a journal
 FROZEN_FILE = "frozen.json"  # of a study's folder: what was decided before the ratings

@@ -143,8 +143,7 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Plan
     seed = design.seed
     groups, place = trials_of.place_in_groups(design.between, number)
     items, tasks = trials_of.select_group(stimuli, design.tasks, groups)
-    count = design.recordings_per_participant
-    items = orders.select_share(items, count, number=place, seed=seed)
+    items = orders.select_share(items, design.recordings_per_participant, number=place, seed=seed)
     repeats, order, rng = design.repeats, design.order, np.random.default_rng(seed)
     main = orders.make_order(items, tasks, number=place, repeats=repeats, order=order, rng=rng)
     # Rehearsal is the participant's own; it may not move the orders, which balance over participants.

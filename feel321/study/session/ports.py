@@ -5,21 +5,16 @@ again) are the engine's. All times are in s since the session began, on the pres
 it stopped when a session is resumed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+from pathlib import Path
+from typing import NamedTuple, Protocol, TypeAlias
 
+from feel321.protocols.texts import Question
 from feel321.protocols.threshold import name_tone
+from feel321.protocols.trial import Page, Part, Scale, Trial
+from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.session.events import Played
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.protocols.texts import Question
-    from feel321.protocols.trial import Page, Part, Scale, Trial
-    from feel321.stimuli.sets.manifest import Stimulus
 
 
 class Surface(NamedTuple):
@@ -71,14 +66,14 @@ class Scaled:
         return float(10 ** (self.gain_db / 20))
 
 
-Felt: TypeAlias = "Stimulus | Tone | Scaled"
+Felt: TypeAlias = Stimulus | Tone | Scaled
 
 
 @dataclass(frozen=True)
 class Playback(Played):
     """The playback of a stimulus, or a stroke over the real surface; act: by which the participant cut it short."""
 
-    act: Pause | Abort | None = None
+    act: "Pause | Abort | None" = None
 
 
 @dataclass(frozen=True, slots=True)

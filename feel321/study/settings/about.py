@@ -1,11 +1,12 @@
 """Tables of `study.toml` besides the study itself: `[observer]`, `[paper]` that is replicated, `[publication]`."""
 
+from math import isnan
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from feel321.doors import name_of
-from feel321.names import ANCHOR_NAMES, PaperClaim, Provenance
+from feel321.names import ANCHOR_NAMES, NO_NUMBER, PaperClaim, Provenance
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.study.settings import fields as kinds
 
@@ -78,6 +79,10 @@ class PaperTable(kinds.TomlTable):
     @model_validator(mode="after")
     def _check_names(self) -> Self:
         kinds.check_distinct(tuple(claim.name for claim in self.claims))
+        for claim in self.claims:
+            if claim.paper is not NO_NUMBER and all(map(isnan, claim.paper)):
+                needs = "paper must have a value, or low and high, got none"
+                raise ValueError(f"claim {claim.name!r}: {needs}; add them, or leave it out")
         given = [(one, reducer) for one in self.published for reducer in one.numbers]
         kinds.check_distinct(
             tuple(f"{one.recording}, {one.metric}, {reducer}" for one, reducer in given)

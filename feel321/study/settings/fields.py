@@ -22,6 +22,9 @@ from pydantic_core.core_schema import ValidationInfo
 from feel321 import intake
 from feel321.extensions import is_given
 
+UNSAID = re.compile(r"str|int|float|constrained-\w+|tuple\[.*|\[key\]")
+"""What pydantic adds to a place, and is no key: the kind of a value, or that a name is not allowed."""
+
 OFF = "off"  # switches a number off that may be left out: TOML has no null
 
 MOST = 1e9
@@ -125,10 +128,9 @@ def list_fields(table: Any) -> dict[str, FieldInfo]:  # noqa: ANN401 - a model, 
     if issubclass(table, BaseModel):
         return dict(table.model_fields)
     defaults = table.__dataclass_fields__ if is_dataclass(table) else table._field_defaults
-    hints = get_type_hints(table, include_extras=True)
     return {
         name: FieldInfo.from_annotated_attribute(hint, defaults[name])
-        for name, hint in hints.items()
+        for name, hint in get_type_hints(table, include_extras=True).items()
     }
 
 
@@ -148,9 +150,10 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
     try:
         return model.model_validate_json(content, strict=True, context=tables)
     except ValidationError as error:
-        details = error.errors(include_url=False)
-        lines = (f"{path.name}: {_translate(detail, model)}" for detail in details)
-        raise ValueError("\n".join(lines)) from None
+        lines: dict[str, str] = {}  # of what may be of several kinds, the first says enough
+        for detail in error.errors(include_url=False):
+            lines.setdefault(_locate(detail["loc"], model)[0], _translate(detail, model))
+        raise ValueError("\n".join(f"{path.name}: {line}" for line in lines.values())) from None
 
 
 def _refuse_time(value: object) -> NoReturn:
@@ -215,7 +218,7 @@ def _locate(location: Sequence[int | str], model: type) -> tuple[str, type, obje
     for part in location:
         if isinstance(part, int):
             place += f"[{part + 1}]"
-        elif part != "[key]":  # what pydantic adds to a name that is not allowed
+        elif not UNSAID.fullmatch(part):
             place += f".{part}" if place else part
             field = list_fields(tables[0]).get(part)
             kind = field.annotation if field else None

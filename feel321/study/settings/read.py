@@ -21,8 +21,8 @@ from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import read_texts
 from feel321.protocols.threshold import MatchingBlock
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
-from feel321.stimuli.guard import OwnMetric, OwnReducer
 from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import render
 from feel321.stimuli.sets.manifest import read_details
@@ -44,9 +44,7 @@ from feel321.types import Metric, Reducer
 
 CONSENT = "consent"  # the page whose text a lab can set by itself
 
-MOST_TRIALS = (
-    10_000  # trials in a session; people do a few hundred, simulated participants somewhat more
-)
+MOST_TRIALS = 10_000  # in a session; people do a few hundred, simulated participants some more
 
 Group = tuple[tuple[Item, ...], tuple[Task, ...]]  # what its participants feel, and do
 

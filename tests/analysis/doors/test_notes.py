@@ -40,6 +40,7 @@ RATED = [
     (lambda f: f.assign(rating=(f["rating"].astype(float) / 20).round() + 1), "run from 2 to 5: if 100 was not its up"),
     (lambda f: f.assign(simulated=f["participant"] == "p01"), "96 judgements of 1 simulated participants are left out"),
     (lambda f: f.assign(scale=f["scale"].mask(f["reducer"] == "original", "comfort")), "Scale 'comfort' was rated on"),
+    (lambda f: f.assign(rating=(f["rating"].astype(float) + 55).clip(upper=100)), "of 144 ratings of test stimuli"),
     (lambda f: f.assign(underruns=(f["trial"].astype(int) < 3).astype(int)), "4 judgements of 2 participants were"),
     (lambda f: f.assign(protocol=f["repeat"]), "Scale 'realism' was judged in 2 protocols, which are taken together:"),
     (lambda f: f.assign(participant=f["participant"].replace("p01", "p00\u200b")), "capitals, accents or blanks only"),

@@ -26,6 +26,7 @@ from feel321.study.actuator.rig import (
     CoilTable,
     LimitsTable,
     Rig,
+    SensorTable,
     digest,
     take_device,
 )
@@ -125,6 +126,20 @@ def test_what_was_forged_with_a_new_seal_is_one_line_with_its_place(
     assert found is None
     assert line.startswith(f"certificate {path.name}: {place}: ")
     assert line.endswith("; calibrate again")
+
+
+def test_a_key_that_an_older_version_wrote_as_null_is_no_reason_to_calibrate_again(
+    tmp_path: Path,
+) -> None:
+    sensor = SensorTable(channels=(1, 2, 3), full_scale_m_s2=100.0)
+    certificate = write_certificate(replace(make(), sensor=sensor), tmp_path)
+    path = tmp_path / "calibration" / f"{certificate.id}.json"
+    entry = json.loads(path.read_text(encoding="utf-8"))
+    del entry["sha256"]
+    entry["sensor"]["channel"] = None
+    seal = hashlib.sha256(json.dumps(entry, sort_keys=True).encode()).hexdigest()
+    path.write_text(json.dumps(entry | {"sha256": seal}), encoding="utf-8")
+    assert read_certificate(path).sensor == sensor
 
 
 @pytest.mark.parametrize(

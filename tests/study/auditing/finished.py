@@ -15,7 +15,7 @@ from feel321.study.actuator.rig import read_rig
 from feel321.study.analyze import analyze_study
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.people import write_roster
+from feel321.study.participants.roster import write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.run import run_participant
 from feel321.study.sessions import read_room

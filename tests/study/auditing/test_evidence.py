@@ -29,7 +29,7 @@ from feel321.study.checkpoints import (
 )
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.journal import utc_now
 from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY
@@ -332,6 +332,16 @@ def test_a_history_that_was_made_anew_or_turned_back_contradicts_the_remote(
     files = {text.partition(": ")[0].partition(",")[0] for text in found}
     assert len([one for one in files if "sim00" in one]) >= lost / 2, "and files are named"
     assert main(["audit", str(study.path), "--expect", before[:12]]) == 1
+
+
+def test_a_remote_that_git_knows_by_two_names_keeps_all_that_was_pushed(
+    study: StudyFolder, remote: Path
+) -> None:
+    own = read_own(study)
+    home = ["git", "-C", str(study.path / EVIDENCE)]
+    subprocess.run([*home, "remote", "add", "lab", str(remote)], check=True)
+    subprocess.run([*home, "update-ref", "refs/remotes/lab/other", own.history[-1].id], check=True)
+    assert read_own(study).pushed == {str(remote): {own.branch, "other"}}
 
 
 def test_a_remote_that_lost_its_checkpoints_is_found_and_not_filled_again(

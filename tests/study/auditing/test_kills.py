@@ -17,7 +17,7 @@ import pytest
 
 from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.numbers import read_holders
+from feel321.study.participants.numbers import read_holders
 from feel321.study.session.journal import read_journal
 from tests.study.conftest import make_settings
 

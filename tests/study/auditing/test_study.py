@@ -14,8 +14,8 @@ from feel321.files import digest_file
 from feel321.study.auditing.study import audit_journals, audit_study, examine
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
-from feel321.study.people import write_roster
-from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.participants.roster import write_roster
+from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session import events
 from feel321.study.session.journal import create_journal, read_journal, utc_now
 from feel321.study.session.plan import POLICIES, Stale, require_plan

@@ -13,7 +13,7 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.check import build_study
 from feel321.study.export.dataset import export_bids
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.events import NoteTaken
 from feel321.study.session.journal import require_journal
 from feel321.study.session.ports import Confirm

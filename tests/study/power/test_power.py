@@ -52,6 +52,10 @@ def test_verb_writes_page_tables_and_json_that_agree(
     assert (code, said.splitlines()[0]) == (0, content["answer"])
     assert said.splitlines()[-1] == str(out / "index.html")
     assert content["answer"].replace("> ", "&gt; ").replace(" %", "\N{NO-BREAK SPACE}%") in page
+    assert (
+        "slopes of people on temporal match, per +0.1<" in page
+    )  # which a pilot gives, or 3 points per SD
+    assert "slope points" not in page
     assert all((out / name).is_file() for name in content["files"])
     designs = pd.read_csv(out / "tables" / "designs.csv")
     assert designs["power"].tolist() == pytest.approx([one["power"] for one in content["designs"]])

@@ -13,7 +13,7 @@ import pytest
 from feel321.protocols.trial import MOST_LOST, Flow
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.auditing.study import audit_journals
-from feel321.study.people import make_progress
+from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import find_loss
 from feel321.study.session.journal import Chain
 from feel321.study.session.plan import read_dossier, replay, require_plan

@@ -10,7 +10,7 @@ import pytest
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import Question, make_scales, read_texts
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.persons import answers
+from feel321.study.participants import answers
 from feel321.study.session.plan import make_plan, read_dossier
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause
 

@@ -88,6 +88,12 @@ ADDED = (
     ("[session.stale]; after_h = 'never'", 'after_h must be a valid number or "off", got'),
     ("[stimuli.conditioning]; low_pass = 9.0", "conditioning.low_pass: unknown setting; did you mean"),
     ("[stimuli.conditioning]; low_pass_hz = 9.0", "high_pass_hz must be below low_pass_hz, 9.0; got"),
+    (f"{CLAIM}measure = 'slope'; paper = {{}}", "paper must have a value, or low and high, got none"),
+    (f"{CLAIM}measure = 'slope'; exceptions = ['a', 'a']", "exceptions must be different names"),
+    (f"{CLAIM}measure = 'slope'; exceptions = ['']", "exceptions must be different names"),
+    (f"{CLAIM}measure = 'slope'; options = {{ scale = '' }}", "options.scale must not be empty"),
+    (f"{CLAIM}measure = 'slope'; options = {{ among = [''] }}", "options.among must not be empty"),
+    (f"{CLAIM}measure = 'slope'; options = {{ scale = 1 }}", "options.scale must be a valid string, got 1"),
     (f"{CLAIM}measure = 'slope'; paper = {{ value = 0.5, low = 0.6, high = 0.8 }}", "in that order"),
 )  # fmt: skip
 """What is added to the shortest study, with ; between its lines, and what is said of it."""

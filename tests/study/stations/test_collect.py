@@ -22,9 +22,9 @@ from feel321.study import cli
 from feel321.study.auditing.study import audit_study
 from feel321.study.collect import Collected, collect_sessions
 from feel321.study.folder import StudyFolder, name_delivered
-from feel321.study.numbers import read_holders
-from feel321.study.persons.answers import PERSONAL_FILE, make_keeper
-from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+from feel321.study.participants.answers import PERSONAL_FILE, make_keeper
+from feel321.study.participants.numbers import read_holders
+from feel321.study.participants.withdrawal import release_participant, withdraw_participant
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import (
     START,

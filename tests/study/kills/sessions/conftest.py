@@ -22,10 +22,10 @@ from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
-from feel321.study.numbers import Station, plan_participants
 from feel321.study.observer.model import Casting, ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
-from feel321.study.people import write_roster
+from feel321.study.participants.numbers import Station, plan_participants
+from feel321.study.participants.roster import write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import Design, Stale, make_plan, require_plan

@@ -18,11 +18,11 @@ from pathlib import Path
 from feel321 import files
 from feel321.files import hold_lock, make_folder, sync_folder, write_text
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study import people
 from feel321.study.checkpoints import declaring, find_newest, note_checkpoint
 from feel321.study.folder import StudyFolder
-from feel321.study.numbers import RELEASED, Holder, read_holder
-from feel321.study.persons.answers import ANSWERS_FILE, write_answers
+from feel321.study.participants import roster
+from feel321.study.participants.answers import ANSWERS_FILE, write_answers
+from feel321.study.participants.numbers import RELEASED, Holder, read_holder
 from feel321.study.ratings import MATCHES_FILE, WIDE, write_matches, write_ratings
 from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
 from feel321.study.session.journal import (
@@ -40,7 +40,7 @@ OUTPUTS_FILE = "outputs.jsonl"
 RESULTS = ("report", "tradeoff", "power")
 """Folders of results in a study that ratings may be in, unless another name was given."""
 
-TABLES = ("ratings.csv", people.ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)
+TABLES = ("ratings.csv", roster.ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)
 
 Say = Callable[[str], None]
 
@@ -58,9 +58,9 @@ def withdraw_participant(
     if removed and not (study.sessions / participant).exists():
         return removed
     folder = require_folder(study, participant)
-    stone = people.read_tombstone(folder)
-    is_over = stone is not None and stone.state == people.REMOVED
-    if stone and is_over and not any((people.find_leftovers(folder), *find_data_left(study))):
+    stone = roster.read_tombstone(folder)
+    is_over = stone is not None and stone.state == roster.REMOVED
+    if stone and is_over and not any((roster.find_leftovers(folder), *find_data_left(study))):
         newest = find_newest(study, "withdraw", participant)
         if newest and newest.begins:  # killed before its last checkpoint
             if problem := note_checkpoint(study, "withdraw", who=participant):
@@ -76,13 +76,13 @@ def withdraw_participant(
         anchors = tuple(read_anchor(path) for path in list_journals(folder))
         utc = now().isoformat(timespec="seconds")
         own = (participant, known.number, known.simulated, utc, reason, anchors)
-        stone = people.Tombstone(*own, state=people.REMOVING)
+        stone = roster.Tombstone(*own, state=roster.REMOVING)
     _remove_link(folder, warn)
     with hold_folder(folder, ends=True), declaring(study, "withdraw", who=participant, warn=warn):
-        people.write_tombstone(folder, replace(stone, state=people.REMOVING))
+        roster.write_tombstone(folder, replace(stone, state=roster.REMOVING))
         removed += _remove_data(folder, warn)
         _clear_derived(study, stone, warn)
-        people.write_tombstone(folder, replace(stone, state=people.REMOVED))
+        roster.write_tombstone(folder, replace(stone, state=roster.REMOVED))
     return removed
 
 
@@ -100,7 +100,7 @@ def _withdraw_rehearsals(study: StudyFolder, participant: str, say: Say) -> list
     return [f"{rehearsals.name}/{participant}/{name}" for name in removed]
 
 
-def _clear_derived(study: StudyFolder, stone: people.Tombstone, say: Say) -> None:
+def _clear_derived(study: StudyFolder, stone: roster.Tombstone, say: Say) -> None:
     """Remove the participant from all that was derived, whatever a kill left of it included; say what is left."""
     files.sweep(study.path)
     files.sweep_temporary()
@@ -114,7 +114,7 @@ def _clear_derived(study: StudyFolder, stone: people.Tombstone, say: Say) -> Non
     _remove_file(study.path / WIDE / f"{stone.participant}.csv", say)
     writers: tuple[Callable[[], object], ...] = (
         lambda: write_ratings(study, read_stimuli(study.stimuli)),
-        lambda: people.write_roster(study),
+        lambda: roster.write_roster(study),
         lambda: write_answers(study),
         lambda: write_matches(study, read_stimuli(study.stimuli)),
     )
@@ -162,7 +162,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     with hold_folder(folder):
         holder, (journal, has_begun) = read_holder(folder), _open_newest(folder, now)
         refused = ""
-        if people.read_tombstone(folder) is not None:
+        if roster.read_tombstone(folder) is not None:
             refused = "withdrew, there is nothing to release"
         elif holder is None:
             refused = "has no number, there is nothing to release"
@@ -176,7 +176,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
             journal.write(SessionReleased())
             return holder.number
         _remove_data(folder, lambda _: None)
-    (folder / people.LOCK_FILE).unlink(missing_ok=True)
+    (folder / roster.LOCK_FILE).unlink(missing_ok=True)
     folder.rmdir()
     return holder.number
 
@@ -184,7 +184,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
 def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) -> str:
     """Write a note into the newest journal of a participant; returns what the experimenter should know besides."""
     note, folder = NoteTaken(text), require_folder(study, participant)
-    if people.read_tombstone(folder) is not None:
+    if roster.read_tombstone(folder) is not None:
         raise ValueError(f"participant {participant}: withdrew, nothing is recorded any longer")
     with hold_folder(folder):
         journal, has_begun = _open_newest(folder, now)
@@ -217,15 +217,15 @@ def hold_folder(folder: Path, *, ends: bool = False) -> Iterator[None]:
     """Keep sessions from writing to a participant's folder; ends: for the last time."""
     make_folder(folder, private=True)
     busy = "a session is running here; let it finish or stop it first"
-    with hold_lock(folder / people.LOCK_FILE, busy=busy):
+    with hold_lock(folder / roster.LOCK_FILE, busy=busy):
         yield
     if ends:
-        (folder / people.LOCK_FILE).unlink(missing_ok=True)
+        (folder / roster.LOCK_FILE).unlink(missing_ok=True)
 
 
 def _remove_data(folder: Path, say: Say) -> list[str]:
     """Remove everything in a folder but its tombstone and the lock that is held; returns the names."""
-    kept = {folder / TOMBSTONE_FILE, folder / people.LOCK_FILE}
+    kept = {folder / TOMBSTONE_FILE, folder / roster.LOCK_FILE}
     removed = sorted({*folder.rglob("*")} - kept, reverse=True)
     for path in removed:
         if path.is_dir() and not path.is_symlink():
@@ -286,10 +286,10 @@ def list_stale(study: StudyFolder) -> Iterator[str]:
 
 def _find_withdrawn(study: StudyFolder) -> tuple[list[str], str]:
     """Find who withdrew, and when the last did who had recorded something; empty if nobody."""
-    stones = dict[str, people.Tombstone]()
+    stones = dict[str, roster.Tombstone]()
     for folder in study.participants:
         with suppress(ValueError):  # reported by whoever looks at the folder
-            if stone := people.read_tombstone(folder):
+            if stone := roster.read_tombstone(folder):
                 stones[folder.name] = stone
     times = [one.utc for one in stones.values() if one.journals]
     return [*stones], max(times, key=datetime.fromisoformat, default="")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from feel321.study.persons.withdrawal import recording_output
+from feel321.study.participants.withdrawal import recording_output
 from feel321.study.simulate import simulate_study
-from tests.study.persons.conftest import ASKING
+from tests.study.participants.conftest import ASKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

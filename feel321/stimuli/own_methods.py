@@ -78,9 +78,8 @@ class OwnReducer:
         make = self.method.find_fact("stream") if self.method.is_python else None
         if make is None:
             return None
-        return OwnStream(
-            self.method, call(self.method, make, float(rate_hz), doing="opening its stream")
-        )
+        stream = call(self.method, make, float(rate_hz), doing="opening its stream")
+        return OwnStream(self.method, stream)
 
     def find_latency(self, rate_hz: float) -> float | None:
         """Find how many s after its sample a result can be there: measured in samples, or declared; else None."""
@@ -101,9 +100,8 @@ class OwnStream:
         """Its constant delay."""
         latency = call(self.method, getattr, self.stream, "latency_samples")
         if isinstance(latency, bool) or not isinstance(latency, int | np.integer) or latency < 0:
-            raise ValueError(
-                f"{self.method}: latency_samples must be a whole number from 0, got {describe(latency)}"
-            )
+            got = f"got {describe(latency)}"
+            raise ValueError(f"{self.method}: latency_samples must be a whole number from 0, {got}")
         return int(latency)
 
     def process(self, block: ArrayLike, *, out: Samples | None = None) -> Samples:
@@ -145,9 +143,8 @@ class OwnMetric:
         try:
             return MetricInfo(label, **known)
         except (TypeError, ValueError) as error:
-            raise ValueError(
-                f"{self.method}: {error}; declare it in [metrics.{self.method.name}]"
-            ) from None
+            do = f"declare it in [metrics.{self.method.name}]"
+            raise ValueError(f"{self.method}: {error}; {do}") from None
 
     def __call__(self, acceleration: ArrayLike, reduced: ArrayLike, rate_hz: float) -> float:
         """Compare three axes, (3, n), with one, (n,)."""
@@ -156,10 +153,8 @@ class OwnMetric:
         if self.method.origin == "command":
             value: object = _run_program(self.method, samples, rate_hz, reduced=signal)
         else:
-            function = self.method.load()
-            value = _call_on_copies(
-                self.method, function, [samples, signal], float(rate_hz), doing=where
-            )
+            both, function = [samples, signal], self.method.load()
+            value = _call_on_copies(self.method, function, both, float(rate_hz), doing=where)
         known = isinstance(value, int | float | np.ndarray | np.generic)
         got = np.asarray(value if known else None)
         if got.size != 1 or got.dtype.kind not in "iuf":
@@ -226,9 +221,8 @@ def _run_program(
             return last
         _run(method, {"{input}": str(source), "{output}": str(target)})
         if not target.is_file():
-            raise ValueError(
-                f"{method}: the command wrote no file at {{output}}; it must write a WAV file there"
-            )
+            do = "it must write a WAV file there"
+            raise ValueError(f"{method}: the command wrote no file at {{output}}; {do}")
         try:
             samples, rate = read_wav(target)
         except (OSError, ValueError) as error:
@@ -251,13 +245,11 @@ def _run(method: Method, files: Mapping[str, str]) -> str:
             words, cwd=method.folder, capture_output=True, timeout=limit_s, check=False, stdin=subprocess.DEVNULL
         )  # fmt: skip
     except subprocess.TimeoutExpired:
-        raise ValueError(
-            f"{method}: the command took longer than {limit_s:g} s and was stopped; set timeout_s in its table"
-        ) from None
+        what = f"the command took longer than {limit_s:g} s and was stopped"
+        raise ValueError(f"{method}: {what}; set timeout_s in its table") from None
     except OSError as error:
-        raise ValueError(
-            f"{method}: {words[0]}: {error.strerror}; check its name, and whether it may be run"
-        ) from None
+        do = "check its name, and whether it may be run"
+        raise ValueError(f"{method}: {words[0]}: {error.strerror}; {do}") from None
     if done.returncode:
         last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2][:200]
         said = f": {last}" if last else " and wrote nothing to stderr"

@@ -4,26 +4,20 @@ A number is taken as long as the plan is there, and free again once its particip
 and real people are counted apart. Stations give numbers of fixed shares, so that they need not ask each other.
 """
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import count
-from typing import TYPE_CHECKING, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 from feel321.files import hold_lock, make_folder
+from feel321.study.folder import StudyFolder
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import list_journals
-from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, create_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from contextlib import AbstractContextManager
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.plan import Plan
+from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Plan, create_plan
 
 PATIENCE_S = 60.0  # how long others are waited for that plan sessions
 

@@ -16,7 +16,7 @@ import pytest
 from feel321.study.auditing.study import audit_study, examine
 from feel321.study.check import build_study
 from feel321.study.cli import main
-from feel321.study.persons.withdrawal import recording_output
+from feel321.study.participants.withdrawal import recording_output
 from feel321.study.session import engine
 from feel321.study.session.journal import utc_now
 

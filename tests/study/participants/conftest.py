@@ -13,7 +13,7 @@ import pytest
 from feel321.protocols.trial import SPOILED, VALID, Page
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.numbers import Station, plan_participants
+from feel321.study.participants.numbers import Station, plan_participants
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
 from feel321.study.session.journal import (
     create_journal,
@@ -25,7 +25,7 @@ from feel321.study.session.journal import (
 from feel321.study.session.plan import PLAN_FILE, replay, require_plan
 from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY
-from tests.study.persons.planned import TRIALS, make_small_plan
+from tests.study.participants.planned import TRIALS, make_small_plan
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from feel321.study.auditing.study import audit_study, examine
-from feel321.study.persons import answers
-from feel321.study.persons.answers import write_answers
-from feel321.study.persons.withdrawal import withdraw_participant
+from feel321.study.participants import answers
+from feel321.study.participants.answers import write_answers
+from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.journal import read_journal, utc_now
 from feel321.study.simulate import simulate_study
-from tests.study.persons.conftest import ASKING, copy_study
+from tests.study.participants.conftest import ASKING, copy_study
 
 if TYPE_CHECKING:
     from pathlib import Path

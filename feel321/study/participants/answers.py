@@ -5,27 +5,21 @@ can be removed, and the journal's chain still holds; without the salt the digest
 answer is on the disk before the record is: an answer without its record was never given, and is dropped at the next.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import secrets
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 from feel321.files import write_table, write_text
 from feel321.protocols.texts import PREFIX, find_question
+from feel321.study.folder import StudyFolder
 from feel321.study.session.events import QuestionAnswered, SessionSuperseded
-from feel321.study.session.plan import read_as_written
+from feel321.study.session.journal import Journal, Records
+from feel321.study.session.plan import Dossier, read_as_written
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Journal, Records
-    from feel321.study.session.plan import Dossier
-
-    Row = dict[str, Any]
+Row = dict[str, Any]
 
 ANSWERS_FILE, PERSONAL_FILE = "answers.csv", "personal.jsonl"
 

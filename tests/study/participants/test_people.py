@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from feel321.study.people import (
+from feel321.study.participants.roster import (
     REMOVED,
     Progress,
     Tombstone,
@@ -18,7 +18,7 @@ from feel321.study.people import (
     write_roster,
     write_tombstone,
 )
-from feel321.study.persons.withdrawal import release_participant, withdraw_participant
+from feel321.study.participants.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import Anchor
 
 if TYPE_CHECKING:

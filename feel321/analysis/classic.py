@@ -1,4 +1,4 @@
-"""What other studies print: ITU-T P.1401, correlations that share a variable, and those of repeated measures.
+"""Classic measures of the literature: ITU-T P.1401, correlations that share a variable, and those of repeated measures.
 
 Conventions: votes have shape (items, raters), NaN where a rater did not vote; an item is a stimulus, its mean
 vote the MOS; a metric has one value per item. All of these take items or rows for independent: stimuli of one
@@ -201,9 +201,8 @@ def p1401(
     if abs(plcc) >= PERFECT:
         notes.append("The correlation is perfect to rounding and has no interval.")
     if order > 1 and n < FEW_ITEMS:
-        notes.append(
-            f"With {n} items, fewer than {FEW_ITEMS}, a cubic bends to noise: report order 1 first."
-        )
+        few = f"With {n} items, fewer than {FEW_ITEMS}"
+        notes.append(f"{few}, a cubic bends to noise: report order 1 first.")
     coefficients, in_x = np.zeros(max(order, 1) + 1), mapping.convert().coef
     coefficients[: len(in_x)] = in_x
     return Statistic(
@@ -220,13 +219,11 @@ def _read_votes(votes: object, metric: object, order: int) -> tuple[Values, Valu
     table = read_array(votes, what="votes", axes=("items", "raters"), missing=True)
     x = read_array(metric, what="metric", axes=("items",))
     if order not in PARAMETERS or isinstance(order, bool | float):
-        raise ValueError(
-            f"order must be 3 (monotone cubic), 1 (line) or 0 (no mapping), got {order!r}"
-        )
+        got = f"got {order!r}"
+        raise ValueError(f"order must be 3 (monotone cubic), 1 (line) or 0 (no mapping), {got}")
     if len(table) != len(x):
-        raise ValueError(
-            f"metric must have one value per item, got {len(x)} values for {len(table)} items"
-        )
+        got = f"got {len(x)} values for {len(table)} items"
+        raise ValueError(f"metric must have one value per item, {got}")
     counts = np.isfinite(table).sum(axis=1)
     # One degree of freedom for the errors, one for Fisher's z; a spread needs two votes.
     fewest, poor = max(PARAMETERS[order], 3) + 1, np.flatnonzero(counts < 2)  # noqa: PLR2004
@@ -368,9 +365,8 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
         q = (r1**2 + r2**2) / 2
         h = (1 - min(1.0, (1 - r12) / (2 * (1 - q))) * q) / (1 - q)
         meng = apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
-        (low1, high1), (low2, high2) = (
-            _find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)
-        )
+        own = [_find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)]
+        (low1, high1), (low2, high2) = own
         c = (r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3
         c /= (1 - r1**2) * (1 - r2**2)
         # max: rounding may push a vanishing sum of squares below 0
@@ -441,15 +437,13 @@ def repeated_measures_correlation(
     first, second = (read_array(one, what=name, axes=("n",)) for one, name in ((x, "x"), (y, "y")))
     names = np.asarray(participant).ravel()
     if not first.shape == second.shape == names.shape:
-        raise ValueError(
-            f"x, y and participant must have one length, got {len(first)}, {len(second)} and {names.size}"
-        )
+        got = f"got {len(first)}, {len(second)} and {names.size}"
+        raise ValueError(f"x, y and participant must have one length, {got}")
     number, people = read_groups(names, n=len(names), what="row", of="participant")
     df = len(first) - len(people) - 1
     if df < 1:
-        raise ValueError(
-            f"participant must have at least participants + 2 rows, got {len(first)} rows of {len(people)} participants"
-        )
+        got = f"got {len(first)} rows of {len(people)} participants"
+        raise ValueError(f"participant must have at least participants + 2 rows, {got}")
     rest, notes, r = [], list[str](), NAN
     for name, values in (("x", first), ("y", second)):
         rest.append(values - (np.bincount(number, values) / np.bincount(number))[number])
@@ -460,9 +454,8 @@ def repeated_measures_correlation(
         r = float(np.clip(one @ other / np.sqrt((one @ one) * (other @ other)), -1, 1))
     low, high = _find_fisher_interval(r, df - 1, norm.ppf(UPPER))
     if np.isnan(low):
-        notes.append(
-            "No interval: the correlation is perfect, or fewer than 2 degrees of freedom are left."
-        )
+        why = "the correlation is perfect, or fewer than 2 degrees of freedom are left"
+        notes.append(f"No interval: {why}.")
     p = 0.0 if abs(r) >= PERFECT else float(2 * t.sf(abs(r) * np.sqrt(df / (1 - r**2)), df))
     return Statistic(
         "RepeatedMeasures", r=r, df=df, p=p, low=low, high=high, n=len(first), n_participants=len(people),

@@ -1,0 +1,1 @@
+"""Participants: who takes part under which number, personal answers, and people who withdraw."""

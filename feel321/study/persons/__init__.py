@@ -1,1 +1,0 @@
-"""Personal answers, kept apart from the journals, and participants who leave."""
