@@ -216,7 +216,9 @@ def test_a_study_from_new_to_report(
     clean, compared = run("audit", folder).splitlines()
     assert compared.startswith("compared with 3 checkpoints, the last ")
     assert clean == f"{folder}: 4 journals, no contradiction in them"
-    assert run("audit", folder, "--rehearsals").startswith(f"{folder}: 0 journals, no contradiction")
+    assert run("audit", folder, "--rehearsals").startswith(
+        f"{folder}: 0 journals, no contradiction"
+    )
     # What follows is about files only: whole reports are written in tests/analysis.
     monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", SECTIONS[2:3])
     assert run("analyze", folder) == f"{study.report / 'index.html'}\n"
