@@ -131,6 +131,19 @@ def test_flagged_raters_are_counted_by_the_rules_that_apply(read: Callable[..., 
     assert "the ITU-R BS.1534-3 rules do not apply to these ratings" in first["realism"]
 
 
+def test_the_spread_of_repeats_by_hand(tidy: Callable[..., pd.DataFrame]) -> None:
+    rows = tidy(1, participants=12, recordings=6, noise=5.0)
+    found = raters.compute(Table(rows, METRICS, ()), Choices(draws=2))
+    tests = rows[rows["role"] == "test"]
+    for row in found.rows["repeats"]:
+        own = tests[tests["scale"] == row["scale"]]
+        # Of pairs, half the mean square of their difference.
+        pairs = own.groupby(["participant", "stimulus_id"])["rating"].agg(np.ptp)
+        assert row["value"] == pytest.approx(np.sqrt(np.square(pairs).mean() / 2))
+        assert row["value"] == pytest.approx(5.0, abs=1.0)
+    assert len(found.rows["repeats"]) == tests["scale"].nunique()
+
+
 def test_one_rater_left_of_several_gives_no_slope(read: Callable[..., Table]) -> None:
     table = read("mushra", forgetful=("p01", "p02"), people=3)
     slopes = pick(raters.compute(table, Choices(draws=10)).rows["slopes_without_hits"], "slope")

@@ -16,7 +16,7 @@ from feel321.analysis.report import section as parts
 from feel321.analysis.report.primary import per_step
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.screening import RULES, screen_raters
-from feel321.analysis.table.items import Part, recast_pairs, split_arms
+from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import format_name
 from feel321.names import MATCHES
@@ -59,6 +59,14 @@ def compute(table: Table, choices: Choices) -> Found:
         row = make_row("n_flagged", len(who), n=n_raters, panel=group)
         found.rows["screening_rules"].append(row)
     _add_models(found, single, {str(who) for who in flagged[ANY]})
+    for part in split_tests(table):
+        cells = part.rows.groupby(["participant", "item"], observed=True)["rating"]
+        repeated = cells.transform("size") > 1
+        if n := int(repeated.sum()):
+            n_cells = part.rows[repeated].groupby(["participant", "item"], observed=True).ngroups
+            squares = np.square((part.rows["rating"] - cells.transform("mean"))[repeated]).sum()
+            sd = float(np.sqrt(squares / (n - n_cells)))
+            found.rows["repeats"].append(make_row("sd", sd, n=n, **part.keys))
     slopes = []
     for part in parts.thin_parts(table, choices):
         left_out = dict.fromkeys(map(tuple, flagged.values()))  # the same people once
