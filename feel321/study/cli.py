@@ -265,7 +265,7 @@ def _split(
     what, (*before, last) = get_args(first.annotation)[1].name[0].split()[-1], words
     if len(before) > 1:
         raise UsageError(f"takes a study and {what}, got {len(words)} words")
-    if not before and (Path(last) / SETTINGS_FILE).is_file():
+    if last and not before and (Path(last) / SETTINGS_FILE).is_file():
         raise UsageError(f"{last} is a study; name {what}, too: feel321 {name} {last} {what}")
     return Path(*before), (last,)
 
@@ -350,7 +350,7 @@ def show_audit(study: Study, found: Audit) -> Outcome:
     for own in by_file.values():
         more = f"  and {len(own) - PER_FILE} more in this file (--json lists all)"
         lines += [*own[:PER_FILE], *([more] if len(own) > PER_FILE else [])]
-    n = len(study.folder.journals)
+    n = found.journals
     good = f"{study.folder.path}: {n} journal{'s' * (n != 1)}, no contradiction in them"
     lines = [*(cap(lines) or [good]), *filter(None, [found.sentence]), *found.remarks]
     return Outcome(asdict(found), lines, failed=bool(found.findings))

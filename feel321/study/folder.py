@@ -331,12 +331,16 @@ class Problems(Findings):
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Audit(Findings):
-    """Findings: every gap, duplicate and edit; remarks; what was compared; id of the newest checkpoint, if any."""
+    """Findings: every gap, duplicate and edit; remarks; what was compared; id of the newest checkpoint, if any.
+
+    journals: how many were examined.
+    """
 
     findings: tuple[str, ...]
     remarks: tuple[str, ...] = ()
     sentence: str = ""
     checkpoint: str = ""
+    journals: int = 0
 
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)

@@ -173,6 +173,10 @@ def test_tables_are_the_rows_of_the_results(report: Path) -> None:
     pairs = {(f"{row['table']}.csv", row["quantity"]) for row in numbers}
     assert pairs <= set(zip(described["file"], described["quantity"], strict=True))
     assert described["meaning"].notna().all()
+    told = described.set_index(["file", "quantity"])["meaning"]
+    assert told["contrasts.csv", "difference"].endswith("; p by Holm")
+    assert told["slopes.csv", "slope"].count("Holm") == 1
+    assert "p of differences adjusted by Holm" in " ".join(load(report)["how"])
 
 
 def test_numbers_are_those_of_the_files(report: Path, study: object) -> None:

@@ -216,6 +216,9 @@ def test_a_study_from_new_to_report(
     clean, compared = run("audit", folder).splitlines()
     assert compared.startswith("compared with 3 checkpoints, the last ")
     assert clean == f"{folder}: 4 journals, no contradiction in them"
+    assert run("audit", folder, "--rehearsals").startswith(
+        f"{folder}: 0 journals, no contradiction"
+    )
     # What follows is about files only: whole reports are written in tests/analysis.
     monkeypatch.setattr("feel321.analysis.report.write.SECTIONS", SECTIONS[2:3])
     assert run("analyze", folder) == f"{study.report / 'index.html'}\n"
@@ -358,6 +361,7 @@ def test_a_place_that_cannot_be_is_named(
 ) -> None:
     (tmp_path / "file").write_text("", encoding="utf-8")
     nowhere, new = tmp_path / "no where", tmp_path / "new"
+    monkeypatch.chdir(study.path)
     start = f"{nowhere}: no such folder; begin a study with: feel321 new '{nowhere}'\n"
     file = f"{study.settings}: a study must be a folder, got a file; try {study.path}\n"
     for words, said in (
@@ -365,6 +369,7 @@ def test_a_place_that_cannot_be_is_named(
         (["check", str(nowhere)], start),
         (["analyze", str(study.settings)], file),
         (["export", str(study.path)], f"{study.path} is a study; name DIR, too: feel321 export"),
+        (["note", "", "--participant", "p1"], "a note must have 1 to 1000 characters, got 0"),
     ):
         assert main(words) in {1, 2}
         assert capsys.readouterr().err.startswith(f"feel321: {said}")

@@ -434,6 +434,10 @@ def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]
     described = make_dictionary({f"report/{name}.csv": frame for name, frame in frames.items()})
     forms = [form for section in sections for form in section.tables.values()]
     known = {(form.name, one.name): one.meaning for form in forms for one in form.quantities}
+    for form in forms:  # a p that is headed as adjusted is said to be
+        for one in form.quantities:
+            if "Holm" in one.p and "Holm" not in one.meaning:
+                known[form.name, one.name] += "; p by Holm"
     meaning = "in the column value: the quantity that is described"
     rows = [{"file": DICTIONARY, "column": "quantity", "type": "text", "meaning": meaning}]
     for name, frame in frames.items():

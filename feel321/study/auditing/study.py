@@ -83,7 +83,8 @@ def examine(
     remarks += [*roster.describe_rigs(tables.people), *_guard(study.path, list_stale(study))]
     remarks += filter(None, [describe_frozen(study)])
     every = dict.fromkeys([*findings, *find_faults(study)])
-    return Audit(tuple(every), tuple(remarks), evidence.sentence, evidence.checkpoint)
+    said, newest = evidence.sentence, evidence.checkpoint
+    return Audit(tuple(every), tuple(remarks), said, newest, len(study.journals))
 
 
 def audit_study(study: StudyFolder) -> list[str]:
