@@ -24,15 +24,8 @@ from feel321.study.participants import roster
 from feel321.study.participants.answers import ANSWERS_FILE, write_answers
 from feel321.study.participants.numbers import RELEASED, Holder, read_holder
 from feel321.study.ratings import MATCHES_FILE, WIDE, write_matches, write_ratings
+from feel321.study.session import journal as journals
 from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
-from feel321.study.session.journal import (
-    PARTICIPANT_ID,
-    Clock,
-    Journal,
-    list_journals,
-    read_anchor,
-    require_journal,
-)
 from feel321.study.session.plan import TOMBSTONE_FILE
 
 OUTPUTS_FILE = "outputs.jsonl"
@@ -49,7 +42,7 @@ def withdraw_participant(
     study: StudyFolder,
     participant: str,
     *,
-    now: Clock,
+    now: journals.Clock,
     reason: str = "",
     warn: Say = lambda _: None,
 ) -> list[str]:
@@ -73,7 +66,7 @@ def withdraw_participant(
         known = Holder(participant, 0, simulated=False)
         with suppress(ValueError):  # a damaged plan keeps nobody from withdrawing
             known = read_holder(folder) or known
-        anchors = tuple(read_anchor(path) for path in list_journals(folder))
+        anchors = tuple(journals.read_anchor(path) for path in journals.list_journals(folder))
         utc = now().isoformat(timespec="seconds")
         own = (participant, known.number, known.simulated, utc, reason, anchors)
         stone = roster.Tombstone(*own, state=roster.REMOVING)
@@ -90,7 +83,7 @@ def _withdraw_rehearsals(study: StudyFolder, participant: str, say: Say) -> list
     """Remove what was rehearsed under the participant's code."""
     rehearsals = replace(study, is_rehearsal=True).sessions
     folder = rehearsals / participant
-    is_code = not study.is_rehearsal and PARTICIPANT_ID.fullmatch(participant)
+    is_code = not study.is_rehearsal and journals.PARTICIPANT_ID.fullmatch(participant)
     if not is_code or not (folder.is_symlink() or folder.is_dir()):
         return []
     _remove_link(folder, say)
@@ -156,7 +149,7 @@ def _list_results(study: StudyFolder) -> Iterator[Path]:
             yield folder
 
 
-def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> int:
+def release_participant(study: StudyFolder, participant: str, *, now: journals.Clock) -> int:
     """Free the slot of a participant who will not come back; of one who never began, the code is free too."""
     folder = require_folder(study, participant)
     with hold_folder(folder):
@@ -172,7 +165,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
             refused = "has finished, so the slot stays taken; to remove the data: feel321 withdraw"
         if refused or holder is None:
             raise ValueError(f"participant {participant}: {refused}")
-        if journal and (len(list_journals(folder)) > 1 or has_begun):
+        if journal and (len(journals.list_journals(folder)) > 1 or has_begun):
             journal.write(SessionReleased())
             return holder.number
         _remove_data(folder, lambda _: None)
@@ -181,7 +174,7 @@ def release_participant(study: StudyFolder, participant: str, *, now: Clock) -> 
     return holder.number
 
 
-def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) -> str:
+def take_note(study: StudyFolder, participant: str, text: str, *, now: journals.Clock) -> str:
     """Write a note into the newest journal of a participant; returns what the experimenter should know besides."""
     note, folder = NoteTaken(text), require_folder(study, participant)
     if roster.read_tombstone(folder) is not None:
@@ -195,11 +188,11 @@ def take_note(study: StudyFolder, participant: str, text: str, *, now: Clock) ->
     return journal.notice
 
 
-def _open_newest(folder: Path, now: Clock) -> tuple[Journal | None, bool]:
+def _open_newest(folder: Path, now: journals.Clock) -> tuple[journals.Journal | None, bool]:
     """Open the newest journal of a participant, if there is one; whether it has its header."""
-    if not (journals := list_journals(folder)):
+    if not (paths := journals.list_journals(folder)):
         return None, False
-    journal = require_journal(journals[-1], now=now)
+    journal = journals.require_journal(paths[-1], now=now)
     return journal, journal.records.find_header() is not None
 
 
@@ -299,7 +292,9 @@ def _find_withdrawn(study: StudyFolder) -> tuple[list[str], str]:
 
 
 @contextmanager
-def recording_output(study: StudyFolder, verb: str, path: Path, *, now: Clock) -> Iterator[None]:
+def recording_output(
+    study: StudyFolder, verb: str, path: Path, *, now: journals.Clock
+) -> Iterator[None]:
     """Record where a verb writes, before it does; the study's own folders of results need no record."""
     path = path.resolve()
     if not study.settings.is_file() or _is_own(study, path):
