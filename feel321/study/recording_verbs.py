@@ -303,7 +303,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
     workers : int or Workers
         Number of processes.
     scheduler : str
-        A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT.
+        A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
     """
     from feel321.analysis.report.folder import check_target
     from feel321.analysis.tradeoff import judge

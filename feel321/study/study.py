@@ -198,7 +198,7 @@ class Study(Laboratory):
         workers : int or Workers
             Number of processes.
         scheduler : str
-            A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT.
+            A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
         seed : int, optional
             Random seed; the study's by default.
         out : str or path, optional
