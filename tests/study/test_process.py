@@ -149,7 +149,9 @@ def stop_in_time(
     return study, ended
 
 
-@pytest.mark.parametrize("n_bytes", [1, 9_000, 40_000, 75_000])
+@pytest.mark.parametrize(
+    "n_bytes", [9_000, 40_000, *(pytest.param(n, marks=pytest.mark.soak) for n in (1, 75_000))]
+)
 def test_a_killed_simulation_goes_on_without_loss_or_doubling(
     uninterrupted: StudyFolder, tmp_path: Path, n_bytes: int
 ) -> None:
