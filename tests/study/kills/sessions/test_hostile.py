@@ -181,7 +181,10 @@ def test_a_withdrawal_while_others_are_simulated(
     code = lab.processes.wait(child)
     simulated = err.read_text(encoding="utf-8")
     assert (code, withdrawn.code) in {(0, 0), (0, 1), (1, 0)}, simulated + withdrawn.err
-    assert (simulated + withdrawn.err).count("\n") <= 1 + withdrawn.code
+    said = (simulated + withdrawn.err).splitlines()
+    # Another person's plan may be under way just then: a warning, not an error.
+    errors = [line for line in said if not line.endswith("when it is finished, run feel321 audit")]
+    assert len(errors) <= 1 + withdrawn.code
     again = lab.processes.speak(partial(main, arguments), path=tmp_path / "again")
     assert again.code == int(withdrawn.code == 0)
     assert (
