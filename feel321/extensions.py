@@ -286,9 +286,6 @@ def _list_named(kind: str, name: str, command: str, *, folder: Path) -> dict[str
     return found
 
 
-# Loading, and calling under guard.
-
-
 @contextlib.contextmanager
 def _on_path(*folders: Path | None) -> Iterator[None]:
     """Let modules of the lab be found, after all others, so that they hide none."""

@@ -7,14 +7,12 @@ A metric is asked only about pairs of test stimuli whose reference is the record
 what metrics compare with; the recording itself and the anchors are far from everything and would flatter every metric.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.analysis.arrays import CONFIDENCE, Values, check_columns
 from feel321.analysis.primary.model import adjust_holm
@@ -23,10 +21,8 @@ from feel321.analysis.table.schema import CHOSEN, HIGHEST
 from feel321.doors import as_names
 from feel321.records import Statistic
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
+Codes = NDArray[np.intp]
 
-    Codes = NDArray[np.intp]
 
 CHANCE = 0.5
 FEWEST = 3  # Participants and recordings below which there is no interval

@@ -7,10 +7,8 @@ permutation null, in the manner of Report ITU-R BS.2300; its measures are define
 balanced.
 """
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -29,9 +27,6 @@ from feel321.analysis.table.items import (
     refuse_pooled,
 )
 from feel321.records import Statistic
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 SETTLED = 1e-8  # Norm of the change of all qualities, over the spread of the votes, at which the projections stop
 MOST_ROUNDS = 10_000
@@ -64,7 +59,7 @@ class _Votes(NamedTuple):
 
 
 def rater_model(
-    ratings: Table | DataFrame | ArrayLike, *, scale: str | None = None, level: str | None = None
+    ratings: Table | pd.DataFrame | ArrayLike, *, scale: str | None = None, level: str | None = None
 ) -> Statistic:
     """Estimate the bias and inconsistency of each rater, and the quality of each stimulus without them.
 
@@ -181,7 +176,9 @@ def find_apart(inconsistency: Values) -> tuple[NDArray[np.bool_], list[str]]:
     return apart, []
 
 
-def _read(ratings: Table | DataFrame | ArrayLike, scale: str | None, level: str | None) -> _Votes:
+def _read(
+    ratings: Table | pd.DataFrame | ArrayLike, scale: str | None, level: str | None
+) -> _Votes:
     if is_tidy(ratings):
         table, _ = leave_rejected(name_stimuli(open_ratings(choose_arms(ratings, scale, level))))
         check_columns(table, ["participant", STIMULUS, "rating"], "ratings")
@@ -225,7 +222,9 @@ def _alternate(votes: _Votes, *, floor: float) -> tuple[Values, Values, Values, 
     raise ValueError(f"ratings must settle on qualities, {why}")
 
 
-def gauge_raters(tests: DataFrame, means: DataFrame, *, rng: np.random.Generator) -> DataFrame:
+def gauge_raters(
+    tests: pd.DataFrame, means: pd.DataFrame, *, rng: np.random.Generator
+) -> pd.DataFrame:
     """Measure how expert each rater is: participant, measure, value, floor (95 % of its null), p.
 
     From one rater's one-way analysis of variance, items against repeats, with mean squares M_items and M_repeats:

@@ -221,8 +221,6 @@ def describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> 
     return f"{value} {'higher' if way > 0 else 'lower'} than {other}{told}"
 
 
-# Measures.
-
 OVER_RECORDINGS = "95 % t interval over recordings"
 LIMIT = 0.05  # Where permutations cannot give a p below, nothing is estimated
 MEAN, SD = "_rotation_mean", "_rotation_sd"

@@ -68,9 +68,6 @@ def declaring(info: Mapping[str, MetricInfo]) -> Iterator[None]:
         _DECLARED.reset(token)
 
 
-# Names.
-
-
 def format_name(name: str) -> str:
     """Turn a column or scale name into words."""
     plain = name.replace("spectral_match_bounded", "bounded_spectral_match").replace("_", " ")
@@ -133,9 +130,6 @@ def name_path(*parts: str) -> str:
     return ".".join(part.replace("%", "%25").replace(".", "%2E") for part in parts)
 
 
-# Lists and counts.
-
-
 def join_words(names: Sequence[str], last: str = "and") -> str:
     """List names in a sentence: a, b and c."""
     return f" {last} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
@@ -156,9 +150,6 @@ def format_span(counts: Iterable[int]) -> str:
     """Write a count, or its range where it differs from case to case."""
     found = sorted(set(counts))
     return f"{found[0]}" if len(found) == 1 else f"{found[0]}–{found[-1]}"
-
-
-# Numbers.
 
 
 def format_number(value: float, *, kind: str = "correlation") -> str:

@@ -79,9 +79,6 @@ def williams_row(n: int, number: int) -> tuple[int, ...]:
     return row[::-1] if number >= n else row
 
 
-# What is compared with what.
-
-
 def find_reference(item: Item, items: Items, *, reference: str = ORIGINAL) -> Item:
     """Find the reference of an item."""
     if reference == ORIGINAL:
@@ -379,8 +376,6 @@ def digest_protocols(names: Iterable[str]) -> dict[str, str]:
     return {f"protocol.{name}": own for name in names if (own := PROTOCOLS[name].sha256)}
 
 
-# The options of a task.
-
 MOST_SCALES = 4  # of a trial: more do not fit on one screen
 TIMES = {"gap_s": (0.0, 30.0), "answer_timeout_s": (0.5, 600.0), "onset_s": (0.5, 600.0)}
 """The shortest and the longest time of each option, in s."""
@@ -465,9 +460,6 @@ def _list_faults(task: Task, reference: str | None) -> dict[str, bool]:
             foreign
         ),
     }
-
-
-# Answers.
 
 
 def score_trial(trial: Trial, values: Mapping[str, float | str]) -> dict[str, float]:

@@ -140,8 +140,6 @@ def _list_placeholders(text: str) -> str:
     return ", ".join(sorted(f"{{{name}}}" for name in names))
 
 
-# Question pages.
-
 Kind = Literal["choice", "number", "text", "likert"]
 When = Literal["before", "between", "after"]
 """When a question is asked: after the consent, before each rest between trials, at the end."""

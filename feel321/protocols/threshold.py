@@ -278,8 +278,6 @@ def _binary_entropy(chances: Samples) -> Samples:
     return bits
 
 
-# The threshold block.
-
 INTERVALS = FIRST, SECOND = ("first", "second")  # names of the parts
 ASKED = "test"  # what the answer to a threshold trial is about: the vibration, in whichever interval it was
 
@@ -360,8 +358,6 @@ class Detection:
         """List the procedures by frequency in Hz, from the lowest."""
         return dict(sorted(self._procedures.items()))
 
-
-# The matching block.
 
 DB_PER_POINT = 0.15
 MOST_START_DB = 4.5  # the second begins up to so much weaker or stronger than in the study

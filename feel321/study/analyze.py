@@ -306,9 +306,6 @@ def compute_rotations(
     return Further(table, (note,), mountings=pd.DataFrame(mountings))
 
 
-# What the trade-off works on.
-
-
 def gather_recordings(
     folder: Path, *, scenes: bool = False, extra: Sequence[Path] = ()
 ) -> tuple[Recording, ...]:

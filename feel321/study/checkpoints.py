@@ -264,9 +264,6 @@ def _commit(
     return commit.id.decode()
 
 
-# Remotes.
-
-
 def _prepare_remote(remote: str, study: StudyFolder) -> str:
     """Refuse a remote that must not be one; a folder that is not there, or empty, becomes a repository."""
     from dulwich.repo import Repo
@@ -374,9 +371,6 @@ def fetch_branches(url: str, known: Sequence[Checkpoint]) -> dict[str, list[Chec
         return found
 
     return _limit(FETCH_S, fetch)
-
-
-# Occasions.
 
 
 def note_checkpoint(study: StudyFolder, by: str, *, who: str = "", now: Clock = utc_now) -> str:

@@ -386,8 +386,6 @@ for _verb in VERBS:
 APP.register_install_completion_command(show=False)
 
 
-# The help, in plain text.
-
 ABOUT = (
     "Find out whether match metrics of three-to-one vibration reduction predict what people feel."
 )

@@ -265,9 +265,6 @@ class OpenStudy:
             self.warn(message)
 
 
-# What verbs return.
-
-
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Outcome(Result):
     """What a verb did: numbers, or the JSON file that holds them; lines for people; faults, or only that it failed."""

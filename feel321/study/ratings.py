@@ -201,8 +201,6 @@ def describe_matches(rows: Iterable[Mapping[str, Any]]) -> list[str]:
     ]
 
 
-# One row per trial.
-
 WIDE = "data"  # folder of the files, in a study's
 
 ONCE = {  # column of a judgement -> column of a trial

@@ -131,6 +131,3 @@ def list_rig_problems(
         block = threshold.make_block()
         problems += render.find_tone_problems(block, rig, rate_hz=rate_hz, certificate=certificate)
     return [f"{name}: {problem}" for problem in problems]
-
-
-# Whether a stimulus set is what the settings ask for; no recording is read for it.

@@ -258,9 +258,6 @@ def find_flags(chain: Chain) -> Iterator[str]:
         yield f"{len(said)} x {said[0]}"
 
 
-# Balance of the design.
-
-
 def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> BalanceAsRun | None:
     """Measure the balance of the trials that counted, of real participants if there are any."""
     begun = [(dossier, trials) for dossier, trials in everybody if trials]

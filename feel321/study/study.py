@@ -477,8 +477,6 @@ class Study(Laboratory):
         return f"{type(self).__name__}.open({str(self.folder.path)!r})"
 
 
-# Verbs that begin a study.
-
 DEMO_PARTICIPANTS = 16
 
 

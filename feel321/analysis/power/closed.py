@@ -14,22 +14,17 @@ Where a design draws its recordings or reducers, power is the mean over draws. A
 which has no test in the report either, counts as no power.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from feel321.analysis.power.design import LEAST, LEVEL, PowerDesign, Stimuli
 from feel321.analysis.primary.model import FEWEST, FEWEST_DF
 from feel321.analysis.primary.plan import find_most_df
-
-if TYPE_CHECKING:
-    from feel321.types import Samples
+from feel321.types import Samples
 
 MOST_PEOPLE, MOST_RECORDINGS = 10_000, 1000  # Nobody recruits or records more
 DRAWS = 25  # Of stimuli, where a design draws them

@@ -1,12 +1,10 @@
 """How large must a study be? The closed form searches, simulated studies fitted by the primary model check."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,11 +14,7 @@ from feel321.analysis.power.design import LEAST, SIZES, PowerDesign
 from feel321.analysis.power.simulate import SIMULATED, tabulate_shares
 from feel321.analysis.primary.plan import SCENE, SOURCE
 from feel321.analysis.words import ABSENT, format_count
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
-    from feel321.types import Samples
+from feel321.types import Samples
 
 FACTORS: Mapping[str, tuple[float, ...]] = {
     "participants": (0.5, 0.75, 1, 1.5, 2, 3), "recordings": (0.5, 1, 1.5, 2, 3), "reducers": (0.5, 1, 1.5),
@@ -58,7 +52,7 @@ class Power:
     """
 
     design: PowerDesign
-    table: DataFrame
+    table: pd.DataFrame
     studies: int = 0
     notes: tuple[str, ...] = ()
 
@@ -117,7 +111,7 @@ class PowerPlan:
     that is enough. verdict: one of `ENOUGH` and so on. lack: why the given design cannot test the hypothesis.
     """
 
-    table: DataFrame
+    table: pd.DataFrame
     powers: tuple[Power, ...]
     hypothesis: tuple[str, str]
     recommended: PowerDesign | None
@@ -197,7 +191,7 @@ def plan_power(
 
 def _tabulate_designs(
     design: PowerDesign, sizes: Mapping[str, Sequence[int]], aim: int
-) -> tuple[list[PowerDesign], DataFrame]:
+) -> tuple[list[PowerDesign], pd.DataFrame]:
     """Compute designs in closed form; the first with its recordings, reducers and repeats, with fewest people too."""
     attribute, metric = design.hypotheses[aim]
     slope, place = design.truth.find_slope(attribute, metric), design.metrics.index(metric)
@@ -248,7 +242,7 @@ def _list_designs(
             yield kind, other
 
 
-def _judge(table: DataFrame, given: Power, aim: int) -> str:
+def _judge(table: pd.DataFrame, given: Power, aim: int) -> str:
     """Say whether a design is enough, or why none is."""
     verdicts = {
         ENOUGH: table["recommended"].any(),
@@ -261,7 +255,7 @@ def _judge(table: DataFrame, given: Power, aim: int) -> str:
     return next(one for one, holds in verdicts.items() if holds)
 
 
-def _note_refuted(table: DataFrame) -> Iterator[str]:
+def _note_refuted(table: pd.DataFrame) -> Iterator[str]:
     for row in table[table["enough"] & table["refuted"]].to_dict("records"):
         units = describe_units(row["recordings"], row["reducers"])
         share = format_power(row["simulated"]).replace("not estimable", "no test")

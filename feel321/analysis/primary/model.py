@@ -7,11 +7,9 @@ The model here holds every source of spread that the design has, and is reduced 
 each time in words; never because a test says that a spread may be zero.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,9 +34,6 @@ from feel321.analysis.primary.plan import (
 )
 from feel321.analysis.table.items import Table, choose_arms, choose_metrics, open_ratings
 from feel321.records import Statistic
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 TENTH = 0.1
 FEW = 5
@@ -67,7 +62,7 @@ class Primaries(Statistic):
 
     __slots__ = ()
 
-    def to_frame(self) -> DataFrame:
+    def to_frame(self) -> pd.DataFrame:
         """Return all slopes, with p adjusted for their number.
 
         Returns
@@ -82,7 +77,7 @@ class Primaries(Statistic):
 class Slopes(NamedTuple):
     """Slopes within recordings, and the model behind them: all that a refit is for."""
 
-    table: DataFrame
+    table: pd.DataFrame
     cells: Cells
     terms: Terms
     solved: Solved
@@ -108,7 +103,7 @@ def fit_slopes(cells: Cells, *, correlated: bool = False, reducers: bool = True)
 
 
 def fit_primary(
-    table: Table | DataFrame,
+    table: Table | pd.DataFrame,
     metrics: Sequence[str] | None = None,
     *,
     scale: str | None = None,
@@ -233,7 +228,10 @@ def fit_primary(
 
 
 def fit_attributes(
-    table: Table | DataFrame, metrics: Sequence[str] | None = None, *, attribute: str | None = None
+    table: Table | pd.DataFrame,
+    metrics: Sequence[str] | None = None,
+    *,
+    attribute: str | None = None,
 ) -> Primaries:
     """Fit the primary model of every attribute: every scale, at every level where there are several.
 
@@ -280,7 +278,7 @@ def fit_attributes(
     return Primaries("Primaries", **models)
 
 
-def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
+def tabulate_slopes(models: Mapping[str, Primary]) -> pd.DataFrame:
     """List the slopes of all attributes and metrics, with p adjusted for their number by Holm's method."""
     if not models:
         raise ValueError("models must hold one attribute or more, got none")
@@ -289,7 +287,7 @@ def tabulate_slopes(models: Mapping[str, Primary]) -> DataFrame:
     table.insert(0, "attribute", table.pop("attribute"))
     plain = np.array(adjust_holm(table["plain_p"].fillna(table["p"]).tolist()))
     plain[table["plain_p"].isna()] = NONE
-    holm: DataFrame = table.assign(p_holm=adjust_holm(table["p"].tolist()), plain_p_holm=plain)
+    holm: pd.DataFrame = table.assign(p_holm=adjust_holm(table["p"].tolist()), plain_p_holm=plain)
     return holm
 
 
@@ -330,7 +328,7 @@ def _find_scales(cells: Cells, terms: Terms) -> dict[str, float]:
     return {name[:-2]: float(cells.table[name].std() / spread) for name in within}
 
 
-def _tabulate_differences(found: Slopes) -> DataFrame:
+def _tabulate_differences(found: Slopes) -> pd.DataFrame:
     rows, lack = [], _find_lack(found.cells)
     scales = _find_scales(found.cells, found.terms)
     for first, second in combinations(scales, 2):
@@ -343,7 +341,7 @@ def _tabulate_differences(found: Slopes) -> DataFrame:
     return pd.DataFrame(rows)
 
 
-def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[DataFrame, list[str]]:
+def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[pd.DataFrame, list[str]]:
     """Estimate slopes with reducers as fixed effects and metrics centred on recordings and on reducers."""
     cells, terms, within = found.cells, found.terms, found.table.index
     table = pd.DataFrame(np.nan, index=within, columns=list(CENTRED.values()))

@@ -5,14 +5,12 @@ that: those that move a slope most are found by leverage and residual in a regre
 and then left out in the same exact way.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -34,12 +32,7 @@ from feel321.analysis.primary.plan import (
 from feel321.analysis.primary.plan import LEVEL as COVARIATE
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import HIGHEST
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
-    from feel321.types import Samples
-
+from feel321.types import Samples
 
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
 """What may be concluded about a slope."""
@@ -77,7 +70,7 @@ TENTHS = ("tenth", "tenth_low", "tenth_high")
 class Fitted(NamedTuple):
     """Slopes by metric, whether their fit is singular, what its model lacks, and all of it where there is a model."""
 
-    table: DataFrame
+    table: pd.DataFrame
     singular: bool
     reason: str
     slopes: Slopes | None = None
@@ -112,7 +105,7 @@ class Variant(NamedTuple):
     note: str = ""
 
 
-def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0) -> DataFrame:
+def vary_primary(rows: pd.DataFrame, metrics: Sequence[str], *, top: float = 100.0) -> pd.DataFrame:
     """Repeat the primary analysis under other choices: one row per variant and metric.
 
     rows: as for `fit_primary`; ratings from 0 to top. Columns: variant, unit (of estimate, low and high: points, rater
@@ -145,7 +138,7 @@ def vary_primary(rows: DataFrame, metrics: Sequence[str], *, top: float = 100.0)
     return whole[["variant", "unit", *(name for name in whole if name not in keys)]]
 
 
-def _list_variants(rows: DataFrame, metrics: Sequence[str], *, top: float) -> Iterator[Variant]:
+def _list_variants(rows: pd.DataFrame, metrics: Sequence[str], *, top: float) -> Iterator[Variant]:
     cells = make_cells(rows, metrics)
     yield Variant("primary", lambda: cells)
     yield Variant("correlated slopes", lambda: cells, correlated=True)
@@ -166,7 +159,9 @@ def _list_variants(rows: DataFrame, metrics: Sequence[str], *, top: float) -> It
     yield Variant("logits", partial(make_cells, logits, metrics), unit="logits")
 
 
-def _list_rig_variants(rows: DataFrame, metrics: Sequence[str], cells: Cells) -> Iterator[Variant]:
+def _list_rig_variants(
+    rows: pd.DataFrame, metrics: Sequence[str], cells: Cells
+) -> Iterator[Variant]:
     """Take the metrics of what was delivered; take out what a rig does to ratings; leave each rig out."""
     delivered = {name: rows[name + DELIVERED] for name in metrics if name + DELIVERED in rows}
     if delivered:
@@ -197,16 +192,16 @@ class Influence:
     scale it is the metric that is out of range).
     """
 
-    table: DataFrame
-    exceptions: DataFrame
+    table: pd.DataFrame
+    exceptions: pd.DataFrame
     notes: tuple[str, ...] = ()
 
-    def find_turns(self, metric: str) -> DataFrame:
+    def find_turns(self, metric: str) -> pd.DataFrame:
         """Find the units without which a metric's verdict or sign changes, the largest change first."""
         moves = self.find_moves(metric)
         return moves if moves.empty else moves[moves["turns"]]
 
-    def find_moves(self, metric: str) -> DataFrame:
+    def find_moves(self, metric: str) -> pd.DataFrame:
         """Find the units without which a metric's slope changes by more than its standard error, or turns."""
         if self.table.empty:
             return self.table
@@ -259,7 +254,7 @@ def leave_out_units(cells: Cells) -> Iterator[tuple[str, Hashable]]:
 
 
 def measure_influence(
-    rows: DataFrame, metrics: Sequence[str], whole: Primary, *, others: Sequence[float] = ()
+    rows: pd.DataFrame, metrics: Sequence[str], whole: Primary, *, others: Sequence[float] = ()
 ) -> Influence:
     """Leave out each recording and reducer, and the stimuli that matter most, one at a time."""
     cells, found, notes = make_cells(rows, metrics), [], []
@@ -305,7 +300,7 @@ def find_candidates(cells: Cells, *, count: int = CANDIDATES) -> list[str]:
     return list(chosen)
 
 
-def _average_items(cells: Cells) -> tuple[DataFrame, Samples, Samples]:
+def _average_items(cells: Cells) -> tuple[pd.DataFrame, Samples, Samples]:
     """List stimuli, their metrics within recordings, and their mean ratings, people's levels taken out."""
     table = cells.table
     level = table.groupby(WHO, observed=True)[RATING].transform("mean")
@@ -315,7 +310,7 @@ def _average_items(cells: Cells) -> tuple[DataFrame, Samples, Samples]:
     return items, within, means.reindex(items[ITEM]).to_numpy(np.float64)
 
 
-def _conclude(slopes: DataFrame, others: Sequence[float]) -> DataFrame:
+def _conclude(slopes: pd.DataFrame, others: Sequence[float]) -> pd.DataFrame:
     """Adjust the slopes' tests for each other and for those of other attributes, and give the verdicts."""
     p_holm = adjust_holm([*slopes["p"], *others])[: len(slopes)]
     verdicts = [conclude(p) for p in p_holm]
@@ -323,8 +318,8 @@ def _conclude(slopes: DataFrame, others: Sequence[float]) -> DataFrame:
 
 
 def _compare(
-    fitted: Fitted, whole: Primary, *, before: DataFrame, others: Sequence[float]
-) -> DataFrame:
+    fitted: Fitted, whole: Primary, *, before: pd.DataFrame, others: Sequence[float]
+) -> pd.DataFrame:
     """Compare every slope that was fitted without a unit with that of the whole."""
     table = fitted.table.reindex(whole.slopes.index)[["estimate", "se", "df", "p", *TENTHS]]
     table = table.join(_conclude(table, others))
@@ -339,7 +334,7 @@ def _compare(
     return table.rename_axis("metric").reset_index()
 
 
-def _find_exceptions(cells: Cells, slopes: Mapping[Hashable, Slopes]) -> DataFrame:
+def _find_exceptions(cells: Cells, slopes: Mapping[Hashable, Slopes]) -> pd.DataFrame:
     """Find reducers that are rated otherwise than the slopes of all others predict."""
     from scipy.stats import t as student
 

@@ -68,9 +68,6 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
     return cards
 
 
-# The clauses of the sentence.
-
-
 def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
     """Decide what the headline says: of every metric and scale, and of every protocol that has no card."""
     by_metric: dict[str, list[Row]] = {}

@@ -237,9 +237,6 @@ def _add_rows(found: Found, analysis: Analysis, slopes: Sequence[Row]) -> None:
     found.add("exceptions", influence.exceptions.reset_index(), **keys)
 
 
-# Facts for the words.
-
-
 def _describe_slope(analysis: Analysis, row: Row) -> Row:
     """Gather what the template says of a slope beyond its verdict."""
 

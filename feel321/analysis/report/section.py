@@ -193,9 +193,6 @@ def read_declared(key: str) -> tuple[Mapping[str, TableForm], Mapping[str, Mappi
     return tables, figures
 
 
-# What a section finds.
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
     """A figure of a report: its file's name, its caption, and the figure or what draws it.

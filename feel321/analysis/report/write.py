@@ -395,9 +395,6 @@ def _gather_notes(table: Table, found: Iterable[Found]) -> Iterator[str]:
         yield f"The figures' font has no {' '.join(letters)}: boxes stand for them; captions and tables show them."
 
 
-# Pages and files.
-
-
 def _write(table: Table, results: Results, *, found: Everything, target: Path) -> None:
     """Draw the figures, and write pages, tables and ``results.json``."""
     blocks: dict[str, list[Row]] = {question: [] for question in QUESTIONS}

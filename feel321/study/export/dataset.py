@@ -127,9 +127,6 @@ def _number(values: pd.Series, stem: str) -> pd.Series:
     return values.map(kept | {name: f"{stem}{n}" for n, name in enumerate(found, start=1)})
 
 
-# Files.
-
-
 def _read_table(path: Path) -> pd.DataFrame:
     """Read one of the study's own tables, every cell as it is written."""
     with intake.open_text(path) as file:
@@ -170,9 +167,6 @@ def _describe(
         entry |= {"Levels": {"true": "yes", "false": "no"}} if name in FLAGS else {}
         found[name] = entry
     return found
-
-
-# What a dataset holds.
 
 
 def _write_participants(people: pd.DataFrame, names: Mapping[str, str], *, path: Path) -> None:

@@ -92,9 +92,6 @@ def find_leftovers(folder: Path) -> list[str]:
     return [f"{path}: {said}" for path in sorted(files - kept)]
 
 
-# Progress and `participants.csv`.
-
-
 @dataclass(frozen=True, slots=True)
 class Note:
     """A note of the experimenter, and when it was taken."""

@@ -298,8 +298,6 @@ class Answer:
             self._restless[part] = time_s
 
 
-# The answer to a question.
-
 ENTER, BACKSPACE = "enter", "backspace"
 NUMBER_SIGNS = frozenset("0123456789.,-")
 MOST_DIGITS = 12

@@ -216,9 +216,6 @@ def _add_field(sheet: Sheet, view: View, question: Question, *, box: Box) -> Non
     sheet.write(Box(field.left + 3 * unit, field.top + unit, room), pieces[-most:], ui.BODY)
 
 
-# Trials.
-
-
 @dataclass(frozen=True, slots=True)
 class _TrialLayout:
     """Puts on a sheet what is felt in a trial, what is asked, and where it is answered."""
@@ -493,9 +490,6 @@ class _TrialLayout:
         if view.can_answer:
             target = Box(left - unit, head.top, width + 2 * unit, top + step - head.top)
             sheet.targets.append(Target(target, "mark", key, track))
-
-
-# Texts that are too long.
 
 
 def find_overflows(

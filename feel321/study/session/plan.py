@@ -163,9 +163,6 @@ def make_trials(design: Design, stimuli: Sequence[Item], *, number: int) -> Plan
     return Plan("", number, **decided)
 
 
-# The stored plan.
-
-
 def create_plan(path: Path, plan: Plan) -> None:
     """Store a plan where none is yet; its folder must exist."""
     entry = {"format": FORMAT, **asdict(plan)}
@@ -204,9 +201,6 @@ def _read_plan(content: bytes, path: Path) -> Plan:
 def _seal(body: bytes) -> bytes:
     """Put the digest of a JSON object into it as its last entry."""
     return body.removesuffix(b"\n}") + _SEAL + journals.digest(body).encode() + b'"\n}\n'
-
-
-# A participant's folder.
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,8 +252,6 @@ def read_as_written(path: Path) -> Iterator[None]:
             raise
         raise ValueError(f"{path}, {error}; restore the file from a copy") from None
 
-
-# A session by its records.
 
 STEPS = {"page", "answered", "rated", "spoiled", "warm_up"}  # events that change what comes next
 

@@ -244,9 +244,6 @@ def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
     return Recipe(**(given | own), **rig, seed=seed, exceptions=exceptions)
 
 
-# Texts and sessions.
-
-
 def find_language(settings: Settings, folder: Path) -> str | Path:
     """Find the texts of a study: the name of a language, or the path of the lab's own file."""
     language = settings.session.language

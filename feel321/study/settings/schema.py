@@ -56,8 +56,6 @@ class StudyTable(kinds.TomlTable):
     seed: kinds.Seed = 321
 
 
-# Recordings.
-
 SCENE_RATE_HZ = 10000.0  # sampling rate of scenes; that of a file is what the file says
 _NOT_OF = {  # what a recording is -> what its table cannot say
     "scene": {"unit", "columns", "full_scale", "resample"},
@@ -142,8 +140,6 @@ def _check_titles(recordings: tuple[RecordingTable, ...]) -> tuple[RecordingTabl
     return recordings
 
 
-# Stimuli.
-
 ACCEPT = "accept"
 BELOW_THRESHOLD = ("refuse", ACCEPT)
 """Whether stimuli that are weaker than the detection threshold keep a study from running."""
@@ -221,9 +217,6 @@ class MetricTable(MethodTable):
         if self.low is not None and self.high is not None and self.low >= self.high:
             raise ValueError(f"low must be below high, got {self.low:g} and {self.high:g}")
         return self
-
-
-# Sessions.
 
 
 class RehearsalTable(kinds.TomlTable):
@@ -375,8 +368,6 @@ class ScaleTable(kinds.TomlTable):
         words = {"question": self.question, "low_label": self.low, "high_label": self.high}
         return words | ({"anchors": list(self.anchors)} if self.anchors else {})
 
-
-# Groups of participants, and stations.
 
 MOST_GROUPS = 64  # a balanced design wants several participants in each group; more groups than this are a slip
 
