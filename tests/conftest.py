@@ -1,20 +1,15 @@
 """What the tests of every room share: the real recordings, and the rule for tests that take minutes."""
 
-from __future__ import annotations
-
 import os
 import signal
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 from filelock import FileLock
 from hypothesis import settings
 
 from feel321.protocols.tasks import PROTOCOLS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 settings.register_profile("feel321", deadline=None, max_examples=25)
 settings.register_profile("soak", deadline=None)

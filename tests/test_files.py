@@ -1,7 +1,5 @@
 """Cells that a spreadsheet would run: written so that it does not, read as they were."""
 
-from __future__ import annotations
-
 import csv
 import io
 

@@ -1,7 +1,5 @@
 """Records, arguments and jobs, which everything else is built on."""
 
-from __future__ import annotations
-
 import copy
 import operator
 import pickle
@@ -23,7 +21,7 @@ class Fit(Result):
     slope: float
     votes: np.ndarray
     table: pd.DataFrame
-    parts: tuple[Fit, ...] = ()
+    parts: "tuple[Fit, ...]" = ()
 
 
 def make(**changes: object) -> Fit:

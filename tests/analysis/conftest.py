@@ -1,23 +1,17 @@
 """A synthetic study with planted slopes, as a tidy table and as files."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
 from feel321.analysis.report.write import SECTIONS, write_report
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True)

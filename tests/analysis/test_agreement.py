@@ -1,7 +1,5 @@
 """Krippendorff's alpha, intraclass correlations and the noise ceiling; tables of numbers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,9 +1,8 @@
 """The headline and the cards: they claim what the verdicts do, whatever the study, and nothing else."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -14,9 +13,6 @@ from feel321.analysis.primary.sensitivity import list_changes
 from feel321.analysis.report.answer import list_clauses, make_cards
 from feel321.analysis.report.raters import conclude_panels
 from feel321.analysis.report.section import Found, make_row
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 OUTCOMES = ("predicts", "opposite", "open", "not_estimable")
 NONE = {"value": math.nan, "low": math.nan, "high": math.nan}

@@ -1,9 +1,7 @@
 """Correlations with their two-way intervals, and the cluster bootstrap behind them."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -22,10 +20,6 @@ from feel321.analysis.resampling import (
     weighted_ranks,
 )
 from feel321.analysis.table.items import Items, make_items
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 
 SPECTRAL, TEMPORAL = "spectral_match", "temporal_match"
 REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr, "kendall": stats.kendalltau}

@@ -1,17 +1,12 @@
-from __future__ import annotations
-
 import itertools
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from feel321.analysis.contrasts.bradley_terry import bradley_terry
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 ABILITIES = {"a": 0.0, "b": 0.6, "c": 1.2, "d": -0.5}
 

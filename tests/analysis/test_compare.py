@@ -1,9 +1,7 @@
 """Reducers compared: means, equivalence, and the joint test of a mixed model."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -20,9 +18,6 @@ from feel321.analysis.contrasts.compare import (
     profile_reducers,
     stimulus_means,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def test_means_by_hand() -> None:

@@ -1,9 +1,8 @@
 """Metrics of a lab's own: what they declare, where that comes from, and what is refused."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -12,17 +11,13 @@ from feel321.analysis.page import render_words
 from feel321.analysis.report import means, primary
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
+from feel321.analysis.table.items import Table
 from feel321.analysis.table.metrics import find_steps, order_reducers
 from feel321.analysis.table.reading import read_table
 from feel321.analysis.words import declaring
 from feel321.names import MATCHES
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MetricInfo
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.analysis.table.items import Table
 
 DISTANCE = MetricInfo("roughness distance", higher="worse", low=0, high=60, unit="dB")
 

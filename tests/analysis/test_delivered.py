@@ -1,8 +1,6 @@
 """What was delivered beside what was intended, and rigs as a choice of the analysis."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -14,12 +12,7 @@ from feel321.analysis.report import primary, raters
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import split_tests
-from feel321.analysis.table.reading import read_table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.analysis.table.reading import Table
+from feel321.analysis.table.reading import Table, read_table
 
 LOSS = 0.1
 USUAL, ODD = "a1b2c3d4e5f6", "b7c1d2e3f4a5"

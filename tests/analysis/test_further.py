@@ -1,7 +1,5 @@
-from __future__ import annotations
-
+from collections.abc import Callable
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -14,9 +12,6 @@ from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import FURTHER
 from feel321.analysis.table.reading import Further, read_table
 from feel321.names import MATCHES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MEAN, SD = "spectral_match_rotation_mean", "temporal_match_rotation_sd"
 DELIVERED, INVARIANT = ("temporal_match_delivered", "temporal_match_invariant")

@@ -1,13 +1,13 @@
 """Figures: what they show is where it belongs, nothing runs off, and the same data give the same bytes."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers
@@ -15,12 +15,6 @@ from feel321.analysis.figures import kinds, style
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.space import fit_space
 from feel321.analysis.table.metrics import order_reducers
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from matplotlib.axes import Axes
 
 METRICS = ["spectral_match", "temporal_match"]
 LONG = "a_reducer_of_our_own_with_a_very_long_name_indeed_2026"

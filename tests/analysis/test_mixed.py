@@ -1,22 +1,17 @@
 """Mixed models against R, against the likelihood written out, and at their boundaries."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from feel321.analysis.mixed.design import build_design
-from feel321.analysis.mixed.model import find_uncertainty, fit_mixed
+from feel321.analysis.mixed.model import MixedFit, find_uncertainty, fit_mixed
 from feel321.analysis.mixed.optimum import Profile, find_optimum
-
-if TYPE_CHECKING:
-    from feel321.analysis.mixed.model import MixedFit
 
 HERE = Path(__file__).parent
 ORACLES = HERE.parents[2] / "shared" / "oracles"

@@ -1,10 +1,7 @@
 """Models as a scientist meets them: short in a notebook, whole in a frame, the same again in R and from a pickle."""
 
-from __future__ import annotations
-
 import json
 import pickle
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -12,9 +9,7 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis import space
-
-if TYPE_CHECKING:
-    from feel321.records import Result
+from feel321.records import Result
 
 METRICS = ["sm", "tm"]
 

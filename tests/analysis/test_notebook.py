@@ -1,12 +1,12 @@
 """What a scientist does in a notebook: tables, statistics in one call each, plots on own axes."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from feel321 import analysis, results, stimuli
@@ -19,12 +19,6 @@ from feel321.analysis.table import schema
 from feel321.protocols import PROTOCOLS
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.match import PLANNED
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from matplotlib.axes import Axes
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,7 @@
 """Judgements of two stimuli at once: whose they are, what they leave out, and what they may not claim."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,11 +14,7 @@ from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.reading import Table, read_table
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    Write = Callable[..., tuple[Path, Path]]
+Write = Callable[..., tuple[Path, Path]]
 
 STIMULI = {"orig": "reference", "mag321": "test", "dft321": "test", "anchor_low": "anchor"}
 

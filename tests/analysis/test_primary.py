@@ -1,20 +1,19 @@
 """The primary model: what it is made of, what it finds again, and how it shrinks with the data."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pandas as pd
 import pytest
 
 from feel321.analysis.mixed.model import fit_mixed
-from feel321.analysis.primary.model import fit_attributes, fit_primary, fit_slopes, tabulate_slopes
+from feel321.analysis.primary.model import (
+    Primary,
+    fit_attributes,
+    fit_primary,
+    fit_slopes,
+    tabulate_slopes,
+)
 from feel321.analysis.primary.plan import make_cells, plan_terms
 from feel321.analysis.primary.sensitivity import vary_primary
-
-if TYPE_CHECKING:
-    from feel321.analysis.primary.model import Primary
 
 METRICS = ["sm", "tm"]
 FULL = (

@@ -1,9 +1,8 @@
 """What the primary model is said to show: a direction where Holm's p leaves no doubt, and what it hinges on."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,15 +15,10 @@ from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import Influence, find_candidates
 from feel321.analysis.report import primary
 from feel321.analysis.report.primary import keep_steady
-from feel321.analysis.report.section import find_row
+from feel321.analysis.report.section import Found, find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.analysis.report.section import Found
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 TIDY = ("spectral_match", "temporal_match")

@@ -1,11 +1,9 @@
 """What the session engine writes is what the analysis reads: every task at once."""
 
-from __future__ import annotations
-
 import re
 from datetime import UTC, datetime, timedelta
 from itertools import count
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -16,9 +14,6 @@ from feel321.study.analyze import analyze_study
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
 from feel321.study.simulate import simulate_study
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 STUDY = """
 [study]

@@ -1,7 +1,5 @@
 """Recordings differ in their slopes, and in level: the model is that of its covariance, and null studies stay null."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -8,12 +8,10 @@ where they must not be. The soak runs 400 studies of each kind and prints a tabl
 that all of it works.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -29,9 +27,6 @@ from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import fit_primary, tabulate_slopes
 from feel321.analysis.resampling import METHODS, Averages, Draws, fisher_z, measure_lean
 from feel321.analysis.table.items import Items
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 STUDIES, DRAWS = 400, 400
 REDUCERS = 6

@@ -1,11 +1,8 @@
 """Claims of papers: verdicts follow from intervals, and planted effects answer the claims of Park and of Lee."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from itertools import combinations_with_replacement
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -28,14 +25,11 @@ from feel321.analysis.replication import (
 )
 from feel321.analysis.report import answer as opening
 from feel321.analysis.report import primary
+from feel321.analysis.report.section import Found
 from feel321.analysis.resampling import Choices
+from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further, read_table
 from feel321.names import MEASURES
-
-if TYPE_CHECKING:
-    from feel321.analysis.report.section import Found
-    from feel321.analysis.table.items import Table
-
 
 CLAIM = PaperClaim("one", "It is so", "ours", "slope")
 NEAR = replace(CLAIM, expect="near", paper=(0.5, 0.4, 0.6))

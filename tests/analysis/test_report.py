@@ -1,17 +1,16 @@
 """The report as files: pages, tables and `results.json` are one frame, and only its own files are replaced."""
 
-from __future__ import annotations
-
 import html
 import json
 import math
 import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -25,9 +24,6 @@ from feel321.analysis.report.section import find_row, make_row, make_slug
 from feel321.analysis.report.write import QUESTIONS, SECTIONS, order_scales, write_report
 from feel321.analysis.table.items import Table
 from feel321.analysis.words import PLACES, format_number
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 NUMBER = re.compile(r"(?<![\w.])[−-]?\d+(?:\.\d+)?(?![\w])")
 """A number that stands alone: neither the 321 of dft321 nor a version's parts."""

@@ -1,9 +1,8 @@
 """Sections of the report: their rows by hand, how far a claim reaches, and what they say they did not do."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,9 +16,6 @@ from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table, read_table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 METRICS = ("spectral_match", "temporal_match")
 ARMS = ("as_is", "equal_intensity")

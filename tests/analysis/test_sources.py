@@ -1,8 +1,6 @@
 """Recordings made from one another: models that know of it hold their level, and copies add no certainty."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -15,9 +13,6 @@ from feel321.analysis.primary.sensitivity import leave_out_units
 from feel321.analysis.report import means
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import read_table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 METRICS = ["sm", "tm"]
 STUDIES = 400

@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import math
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -17,10 +14,8 @@ from feel321.analysis.space import (
     gather_points,
     regress_points,
 )  # fmt: skip
+from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import read_table
-
-if TYPE_CHECKING:
-    from feel321.analysis.table.items import Table
 
 
 def apart(place: np.ndarray) -> np.ndarray:

@@ -1,14 +1,12 @@
 """ITU-T P.1401, correlations that share a variable, and those of repeated measures."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import chi2, pearsonr, spearmanr, t
 
@@ -19,10 +17,7 @@ from feel321.analysis.classic import (
     repeated_measures_correlation,
 )
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    Values = NDArray[np.float64]
+Values = NDArray[np.float64]
 
 
 def make_votes(

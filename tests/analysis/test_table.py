@@ -1,19 +1,12 @@
-from __future__ import annotations
-
 import os
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from feel321.analysis.table.reading import read_table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.analysis.table.reading import Table
+from feel321.analysis.table.reading import Table, read_table
 
 
 def read(files: object) -> Table:

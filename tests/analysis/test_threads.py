@@ -1,7 +1,5 @@
 """Fits in several threads leave the process's linear algebra with the threads it had."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

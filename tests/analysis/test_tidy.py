@@ -1,8 +1,7 @@
 """Tidy tables in memory: rejected judgements do not count, and the stimulus has one name."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,9 +13,6 @@ from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.screening import screen_raters
 from feel321.analysis.table.items import find_sources, leave_rejected, make_items, split_tests
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 METRICS = ["spectral_match", "temporal_match"]
 TOLD = "2 judgements marked as rejected are left out."

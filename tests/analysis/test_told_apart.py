@@ -1,7 +1,5 @@
 """ABX trials, and one axis against three: dissimilarities from the original beside those of identical pairs."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

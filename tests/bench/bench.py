@@ -5,14 +5,12 @@ forward and one inverse real FFT of the same length. Times are medians of repeat
 turn, in CPU time: a machine that changes its speed or has other work changes both.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import fft
@@ -20,9 +18,6 @@ from scipy import fft
 from feel321 import stimuli
 from feel321.stimuli.reducers.registry import REDUCERS, WHY_NOT_STREAMING
 from feel321.study import Study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 RATE_HZ = 10_000.0
 LENGTHS = (100_000, 99_991)

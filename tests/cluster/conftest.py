@@ -1,19 +1,14 @@
 """A real Dask cluster on the loopback: a scheduler process and worker processes, on ports that the system chooses."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 import time
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 LONGEST_S = 90.0
 

@@ -1,13 +1,12 @@
 """A set built on a real cluster is that of one process, though a worker is killed meanwhile."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -15,11 +14,7 @@ from feel321.jobs import Workers, run_jobs
 from feel321.stimuli.sets.build import build_stimuli
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.study.study import Study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tests.cluster.conftest import Cluster
+from tests.cluster.conftest import Cluster
 
 SOME: dict[str, Any] = {
     "reducers": ("sax321", "dft321", "mag321"), "levels": ("as_is", "equal_intensity"),

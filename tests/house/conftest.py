@@ -1,7 +1,5 @@
 """What the guards look at: the project's files."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 from typing import Any

@@ -1,22 +1,18 @@
 """What no tool's configuration says of the code: faces and their docstrings, and short chains of imports."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import re
 import subprocess
 import types
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import grimp  # what import-linter reads imports with
 import pytest
 from numpydoc.docscrape import NumpyDocString, get_doc_object
 from numpydoc.validate import Validator, validate
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 ROOMS = ("feel321.analysis", "feel321.protocols", "feel321.stimuli", "feel321.study")
 LONGEST_CHAIN = 14

@@ -1,7 +1,5 @@
 """README and documentation: complete, linked, and every command, option, import and setting in them exists."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import tomllib

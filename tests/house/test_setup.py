@@ -1,20 +1,16 @@
 """Set-up is written down once: the pins, the reasons of dependencies and system packages, the wheel."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
 import tarfile
 import zipfile
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @pytest.fixture(scope="module")

@@ -1,20 +1,15 @@
 """The tutorial: thirteen short chapters whose commands run, one after the other, as they stand there."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
 import subprocess
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from feel321.study.cli import main
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CHAPTERS, LINES = 13, 15
 FEW = ["saz321", "soc321", "mag321", "dft321", "dft321_windowed"]

@@ -1,7 +1,5 @@
 """Bradley-Terry abilities against R's BradleyTerry2 on the citations of four journals."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

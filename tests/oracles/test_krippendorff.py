@@ -1,7 +1,5 @@
 """Krippendorff's alpha against his own table (2011) as R's irr prints it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

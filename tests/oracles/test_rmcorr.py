@@ -1,7 +1,5 @@
 """Repeated-measures correlation against R's rmcorr on Bland & Altman (1995)."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Intraclass correlations against Shrout & Fleiss (1979, Psychological Bulletin 86, 420-428) and R's psych."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

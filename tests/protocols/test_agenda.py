@@ -1,10 +1,8 @@
 """What comes next: pages, training, breaks and second attempts, each by hand and by law."""
 
-from __future__ import annotations
-
 from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import pytest
 from hypothesis import given
@@ -13,9 +11,6 @@ from hypothesis import strategies as st
 from feel321.protocols.agenda import Agenda
 from feel321.protocols.texts import read_texts
 from feel321.protocols.trial import LOST, SPOILED, VALID, Flow, Judgement, Page, Part, Trial
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 CALM = Flow(break_trials=None, break_min=None)
 Answer = tuple[bool, bool | None]

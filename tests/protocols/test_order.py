@@ -1,10 +1,10 @@
-from __future__ import annotations
-
 import json
 import tracemalloc
 from collections import Counter, defaultdict
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,13 +28,7 @@ from feel321.protocols.tasks import (
     make_task,
     williams_row,
 )
-from feel321.protocols.trial import Item
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-    from pathlib import Path
-
-    from feel321.protocols.trial import Trial
+from feel321.protocols.trial import Item, Trial
 
 ROLES = {"original": "reference", "low": "anchor", "mid": "anchor"}
 ITEMS = [

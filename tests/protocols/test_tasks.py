@@ -1,12 +1,11 @@
 """What each protocol compares: laws of all, then tables by hand; options of tasks, scales, and groups of a design."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,20 +19,17 @@ from feel321.protocols.trial import (
     RATING_RANGE,
     SURFACE,
     TIMINGS,
+    Comparison,
     Item,
     Judgement,
+    Task,
     Trial,
     place_in_groups,
     select_group,
     select_items,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from feel321.protocols.trial import Comparison, Task
-
-    Drawn = dict[str, tuple[str, ...]]
+Drawn = dict[str, tuple[str, ...]]
 
 REDUCERS = tuple(f"reducer{n}" for n in range(9))
 TESTS = ("sax321", "soc321", "dft321")

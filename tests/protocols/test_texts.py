@@ -1,7 +1,5 @@
-from __future__ import annotations
-
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -16,9 +14,6 @@ from feel321.protocols.texts import (
 )  # fmt: skip
 from feel321.protocols.threshold import INTERVALS
 from feel321.protocols.trial import MATCHING, THRESHOLD
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 # Which words stand at 0 and at 100 points, and along the slider: swapped, they would turn every rating round.
 ENDS = {

@@ -1,12 +1,12 @@
 """Detection thresholds: simulated observers recovered, levels in bounds, replay to the bit."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.random import Generator
 
 from feel321.protocols import threshold as module
 from feel321.protocols.threshold import (
@@ -17,11 +17,6 @@ from feel321.protocols.threshold import (
     estimate_threshold,
     predict_correct,
 )  # fmt: skip
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.random import Generator
 
 PLAN = ThresholdPlan(lowest_db=-60, highest_db=0, start_db=-10)
 NAMES = list(PROCEDURES)

@@ -1,7 +1,5 @@
 """Anchors: where they hum, how strong they are, and what they follow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Many recordings at once give what one at a time gives: reducers bit for bit, metrics but for the last digits."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

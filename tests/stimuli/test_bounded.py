@@ -1,7 +1,5 @@
 """The bounded spectral match: brute force over frequencies, and its laws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

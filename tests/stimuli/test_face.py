@@ -1,9 +1,7 @@
 """What the face adds to the methods: recordings in place of arrays, names in place of functions, tables out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,9 +10,7 @@ from scipy.signal import welch
 from scipy.signal.windows import hann
 
 from feel321 import stimuli
-
-if TYPE_CHECKING:
-    from feel321.stimuli import Recording
+from feel321.stimuli import Recording
 
 
 @pytest.fixture(scope="module")

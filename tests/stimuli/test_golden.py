@@ -5,8 +5,6 @@ wrongly for even lengths, squares without conjugates, a division by a vanishing 
 sum of the axes vanishes. Where the axes cancel, equation 4 leaves the phase open; ours is that of the strongest axis.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from typing import NamedTuple, TypeAlias
 

@@ -1,7 +1,5 @@
 """The same set on every processor: BLAS kernels and vector instructions may change the last digits only."""
 
-from __future__ import annotations
-
 import csv
 import os
 import signal

@@ -1,8 +1,6 @@
 """The reducers along a leading axis: what must hold for any motion, and where other reducers fail."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -19,9 +17,6 @@ from feel321.stimuli.reducers.fourier import (
 )
 from feel321.stimuli.rotation import random_rotations, temporal_match_invariant
 from feel321.stimuli.synthesis import SCENES, make_scene
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 RATE = 4000.0
 SEEDS = st.integers(0, 2**32 - 1)

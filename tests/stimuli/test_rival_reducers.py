@@ -1,7 +1,5 @@
 """Reducers to compare others with: their laws, against sums written out and closed forms."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

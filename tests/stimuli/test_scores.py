@@ -1,10 +1,8 @@
 """The matches of the bundled scenes stay what they were: `scores.csv`, to two decimals."""
 
-from __future__ import annotations
-
 import csv
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -12,14 +10,10 @@ import pytest
 from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.metrics import METRICS
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import INVARIANTS
 from feel321.stimuli.synthesis import SCENES, make_scene
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.stimuli.recording import Recording
 
 HALF_A_DIGIT = 0.005 + 1e-6
 RAW = "bumps of 1 s as made"

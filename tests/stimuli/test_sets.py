@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -8,7 +6,7 @@ import subprocess
 import sys
 import time
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,17 +23,18 @@ from feel321.stimuli.sets.build import (
     read_history,
     survey_recording,
 )  # fmt: skip
-from feel321.stimuli.sets.manifest import COLUMN_UNITS, Stimulus, check_stimuli, read_stimuli
+from feel321.stimuli.sets.manifest import (
+    COLUMN_UNITS,
+    Stimulus,
+    StimulusSet,
+    check_stimuli,
+    read_stimuli,
+)
 from feel321.stimuli.sets.recipe import ANCHORS, GAINS, Recipe
 from feel321.stimuli.sets.render import Draft, Measured, choose_gains, find_headroom_cost
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import read_wav, write_wav
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
 
 CONTRACT = [
     "stimulus_id", "recording", "reducer", "level", "role", "file", "rate_hz", "n_samples", "duration_s",

@@ -1,7 +1,5 @@
 """The temporal match in windows: its laws, and planted motions whose axis turns."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

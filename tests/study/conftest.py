@@ -1,32 +1,24 @@
-from __future__ import annotations
-
 import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from feel321.protocols.tasks import make_task
-from feel321.protocols.trial import Flow
+from feel321.protocols.texts import Question
+from feel321.protocols.trial import Flow, Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.session.engine import run_session
-from feel321.study.session.journal import Records
+from feel321.study.session.journal import Clock, Records
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Design, Plan, Stale, create_plan, make_plan
-from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Playback
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from feel321.protocols.texts import Question
-    from feel321.protocols.trial import Page, Part, Scale, Trial
-    from feel321.study.session.journal import Clock
-    from feel321.study.session.ports import Place
+from feel321.study.session.ports import Abort, Act, Confirm, Feel, Pause, Place, Playback
 
 SMALL_STUDY = """
 [study]

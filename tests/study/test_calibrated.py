@@ -1,11 +1,10 @@
 """Sessions on calibrated rigs: whose certificate the header names, what is refused, and what reaches the hand."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,15 +18,11 @@ from feel321.study.actuator.response import Sweep, make_inverse, make_sweep, mea
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig, take_device
 from feel321.study.auditing.study import audit_study
 from feel321.study.check import check_study
+from feel321.study.folder import StudyFolder
 from feel321.study.run import run_participant
 from feel321.study.session.journal import read_journal
 from feel321.study.sessions import read_room
 from tests.study.actuator.outside import predict
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from feel321.study.folder import StudyFolder
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
 RATE_HZ = 48000.0

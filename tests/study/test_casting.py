@@ -1,21 +1,15 @@
 """What simulated participants plant: the slopes of the metric that the study declares, after the slider's ends."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.settings.read import read_settings
+from feel321.study.settings.schema import Settings
 from feel321.study.simulate import regress_planted
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.settings.schema import Settings
 
 STUDY = """
 [[recordings]]

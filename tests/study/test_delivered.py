@@ -1,25 +1,20 @@
 """A session on the simulated device, without a screen: from stimuli sent to what ratings.csv says of their delivery."""
 
-from __future__ import annotations
-
 import csv
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.auditing.study import audit_study
+from feel321.study.folder import StudyFolder
 from feel321.study.ratings import write_ratings
 from feel321.study.run import run_participant
 from feel321.study.sessions import read_room
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from feel321.study.folder import StudyFolder
 
 RIG = """
 [device]

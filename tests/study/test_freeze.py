@@ -1,12 +1,10 @@
 """Freezing: what counts, what does not, what is refused, how an edited file looks, and what a report says of it."""
 
-from __future__ import annotations
-
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from shutil import rmtree
-from typing import TYPE_CHECKING
 
 import pandas as pd
 import pytest
@@ -17,6 +15,7 @@ from feel321.analysis.words import CONFIRMATORY, EXPLORATORY
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import analyze_study
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.freeze import (
     describe_frozen,
     find_changes,
@@ -28,16 +27,11 @@ from feel321.study.freeze import (
 )
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
+from feel321.study.session.journal import Clock
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Stale, create_plan, make_plan
 from feel321.study.settings.read import make_design, make_identity, read_settings
 from feel321.study.simulate import simulate_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.journal import Clock
 
 EARLY, LATE = (datetime(year, 1, 1, tzinfo=UTC) for year in (2025, 2027))
 PLACE = ("realism", "as_is", "temporal_match")

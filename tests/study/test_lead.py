@@ -1,26 +1,20 @@
 """A session from plan to end."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from datetime import datetime
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from feel321.protocols.texts import read_scales
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.folder import StudyFolder
 from feel321.study.participants.numbers import Station, plan_participants
 from feel321.study.participants.withdrawal import release_participant
-from feel321.study.session.plan import Stale
+from feel321.study.session.plan import Plan, Stale
 from feel321.study.sessions import Room, lead_session
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from datetime import datetime
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.plan import Plan
 
 IDENTITY = {"presenter": {"simulated": True}}
 

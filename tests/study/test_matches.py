@@ -1,13 +1,13 @@
 """Strength matched by participants: planted differences are found, and the second is felt at the level that was set."""
 
-from __future__ import annotations
-
 import csv
 import math
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,27 +16,20 @@ from scipy.stats import ttest_1samp
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
 from feel321.protocols.trial import MATCHING, Flow
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
-from feel321.study.folder import create_study
+from feel321.study.folder import StudyFolder, create_study
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import Participant
 from feel321.study.ratings import MATCHES_FILE, describe_matches
 from feel321.study.session.engine import run_session
 from feel321.study.session.opening import open_session
-from feel321.study.session.plan import Design, Stale, create_plan, make_plan
+from feel321.study.session.plan import Design, Plan, Stale, create_plan, make_plan
 from feel321.study.session.ports import Confirm, Feel, Move, Playback, Scaled
 from feel321.study.simulate import simulate_study
 from tests.study.conftest import make_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.plan import Plan
 
 LEVELS = 'levels = ["as_is", "equal_intensity"]\nanchors = false\n'
 STUDY = make_settings(

@@ -1,20 +1,15 @@
 """A set that is not the one that the settings ask for is named, never used, and never lost while sessions need it."""
 
-from __future__ import annotations
-
 import json
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
 
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study, check_study
+from feel321.study.folder import StudyFolder
 from feel321.study.simulate import simulate_study
-
-if TYPE_CHECKING:
-    from feel321.study.folder import StudyFolder
 
 
 @pytest.fixture

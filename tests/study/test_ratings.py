@@ -1,28 +1,30 @@
-from __future__ import annotations
-
 import csv
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from feel321.protocols.tasks import make_task
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
 from feel321.study.ratings import list_judgements, write_ratings
 from feel321.study.session.journal import START, digest, write_line
-from feel321.study.session.plan import Stale, create_plan, list_by_code, make_plan, read_dossier
+from feel321.study.session.plan import (
+    Design,
+    Plan,
+    Stale,
+    create_plan,
+    list_by_code,
+    make_plan,
+    read_dossier,
+)
 from feel321.study.session.ports import Confirm, Feel, Playback
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.plan import Design, Plan
-
-    Present = Callable[..., list[Any]]
+Present = Callable[..., list[Any]]
 
 
 def read(path: Path) -> list[dict[str, str]]:

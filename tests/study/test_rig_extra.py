@@ -1,7 +1,5 @@
 """The rig extra is really there: PortAudio loads, and PsychoPy imports without opening a window."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import sys
 

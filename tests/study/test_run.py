@@ -1,14 +1,14 @@
 """The verb `run` up to the door of the lab: what it refuses before anybody gets a number, and what it says."""
 
-from __future__ import annotations
-
 import csv
 import signal
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -26,10 +26,6 @@ from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
 from feel321.study.sessions import read_room
 from feel321.study.status import read_status
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
 
 TOTAL = 2
 

@@ -1,30 +1,24 @@
-from __future__ import annotations
-
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 from threading import Timer
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 from filelock import FileLock
 
 from feel321.files import hold_lock, is_held
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.folder import StudyFolder
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import read_journal, require_journal, write_line
-from feel321.study.session.plan import make_plan
+from feel321.study.session.plan import Design, Plan, make_plan
 from feel321.study.session.ports import Confirm, Playback
 from feel321.study.status import describe_balance, read_status
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.plan import Design, Plan
-
-    Present = Callable[..., list[Any]]
+Present = Callable[..., list[Any]]
 
 
 @pytest.fixture

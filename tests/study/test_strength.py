@@ -1,11 +1,9 @@
 """How strongly stimuli are felt: what `check`, `build`, `run` and `simulate` say of it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,10 +21,7 @@ from feel321.study.folder import StudyFolder, create_study
 from feel321.study.settings.read import read_settings
 from feel321.study.strength import describe_built, find_strength
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    Capture = pytest.CaptureFixture[str]
+Capture = pytest.CaptureFixture[str]
 
 
 def set_up(study: StudyFolder, lines: str) -> StudyFolder:

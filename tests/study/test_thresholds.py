@@ -1,13 +1,12 @@
 """What becomes of thresholds: planted ones recovered, tables, warnings, and sensation levels of one's own."""
 
-from __future__ import annotations
-
 import csv
 import os
+from collections.abc import Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +24,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold, sensation_level_db
 from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
-from feel321.study.folder import create_study
+from feel321.study.folder import StudyFolder, create_study
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.participants.roster import ROSTER_FILE
@@ -43,11 +42,6 @@ from feel321.study.thresholds import (
     is_usable,
     read_thresholds,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from feel321.study.folder import StudyFolder
 
 STUDY = """
 [[recordings]]

@@ -1,20 +1,15 @@
 """Choices that follow a planted model, as the two tables of a study."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import read_table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.analysis.table.items import Table
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 REDUCERS = ("sax321", "mag321", "soc321", "dft321", "pca321")

@@ -1,9 +1,8 @@
 """Shares of choices that metrics predict: counted by hand, against the majority, and how often a null is found."""
 
-from __future__ import annotations
-
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,15 +10,11 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis.choices import agree_with_others, gather_votes, predict
+from feel321.analysis.table.items import Table
+from feel321.records import Statistic
 from feel321.types import MetricInfo
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.analysis.table.items import Table
-    from feel321.records import Statistic
-
-    Plant = Callable[..., Any]
+Plant = Callable[..., Any]
 
 METRICS = ("spectral_match_bounded", "temporal_match")
 STIMULI = pd.DataFrame({

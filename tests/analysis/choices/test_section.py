@@ -1,8 +1,7 @@
 """The report's section about choices: what it says of planted, null, reversed and tiny studies, and what it writes."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -11,10 +10,7 @@ from feel321.analysis.page import render_words
 from feel321.analysis.report.pairs import compute_choices as compute
 from feel321.analysis.resampling import Choices
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Plant = Callable[..., Any]
+Plant = Callable[..., Any]
 
 QUICK = Choices(draws=100)
 BEST = "spectral_match_bounded"

@@ -1,9 +1,8 @@
 """The command itself: one line for what cannot be, and a page for what little can be."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -12,12 +11,8 @@ import pytest
 from feel321.analysis.report.write import write_report
 from feel321.study.cli import main
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    Change = Callable[[pd.DataFrame], pd.DataFrame]
-    Capture = pytest.CaptureFixture[str]
+Change = Callable[[pd.DataFrame], pd.DataFrame]
+Capture = pytest.CaptureFixture[str]
 
 FEW = ("mag321", "pca321", "dft321", "original", "anchor_low")
 

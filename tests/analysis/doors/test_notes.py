@@ -1,9 +1,8 @@
 """What can be analysed, but is not what it seems, is analysed and told."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from importlib import resources
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -19,11 +18,7 @@ from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, 
 from feel321.study.settings.read import read_settings
 from feel321.study.settings.recordings import list_origins
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    Change = Callable[[pd.DataFrame], pd.DataFrame]
+Change = Callable[[pd.DataFrame], pd.DataFrame]
 
 
 def edit(path: Path, change: Change) -> None:

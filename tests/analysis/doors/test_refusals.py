@@ -1,12 +1,11 @@
 """What cannot be analysed gets one line that names file, line and column, what was got, and what to do."""
 
-from __future__ import annotations
-
 import csv
 import gzip
 import io
 import os
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,11 +13,7 @@ import pytest
 
 from feel321.analysis.table.reading import read_ratings, read_table
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    Change = Callable[[pd.DataFrame], pd.DataFrame]
+Change = Callable[[pd.DataFrame], pd.DataFrame]
 
 
 @pytest.fixture(scope="module")

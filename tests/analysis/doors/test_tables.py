@@ -1,10 +1,9 @@
 """Tables from memory: the index means nothing, and what is not about one thing is not pooled."""
 
-from __future__ import annotations
-
 import inspect
 import re
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,9 +13,6 @@ from feel321 import analysis
 from feel321.analysis.contrasts import compare
 from feel321.analysis.table.items import find_sources, open_ratings
 from feel321.records import Statistic
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 METRICS = ["spectral_match", "temporal_match"]
 

@@ -1,17 +1,12 @@
 """Stimulus sets with two metrics, and studies drawn from them."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from feel321.analysis.power.design import PowerDesign, Truth
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 METRICS = ("spectral", "temporal")
 

@@ -1,10 +1,9 @@
 """Power in closed form against brute force and simulation; simulated studies have the planted truth."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,17 +12,12 @@ from scipy.stats import t as student
 
 from feel321.analysis.power import simulate
 from feel321.analysis.power.closed import ClosedForm
+from feel321.analysis.power.design import PowerDesign, Stimuli
 from feel321.analysis.power.plan import find_power
 from feel321.analysis.power.simulate import simulate_studies, tabulate_shares
 from feel321.jobs import Workers
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.analysis.power.design import PowerDesign, Stimuli
-
-    Make = Callable[..., PowerDesign]
+Make = Callable[..., PowerDesign]
 
 STUDIES = 60
 FAR = 1e-4

@@ -1,22 +1,15 @@
 """Which design is recommended, and what is said where none is enough."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from feel321.analysis.power.design import SIZES
-from feel321.analysis.power.plan import find_power, plan_power
+from feel321.analysis.power.design import SIZES, PowerDesign
+from feel321.analysis.power.plan import PowerPlan, find_power, plan_power
 from feel321.analysis.power.simulate import simulate_studies
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.analysis.power.design import PowerDesign
-    from feel321.analysis.power.plan import PowerPlan
-
-    Make = Callable[..., PowerDesign]
+Make = Callable[..., PowerDesign]
 
 TRY = {"participants": (8, 12, 24, 48), "recordings": (6, 12), "reducers": (6,), "repeats": (1, 2)}
 ONE = {"participants": (8,), "recordings": (6,), "reducers": (6,), "repeats": (1,)}

@@ -1,8 +1,6 @@
 """The rater model: planted bias and inconsistency are recovered, bad raters stand apart, honest ones do not."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -10,8 +8,6 @@ import pytest
 
 from feel321.analysis.consistency import find_apart, rater_model
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
 PEOPLE = [f"p{number:02d}" for number in range(20)]
 
 

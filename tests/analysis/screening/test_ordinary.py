@@ -1,7 +1,5 @@
 """Ordinary raters are left alone whatever the protocol and the steps of its scale; bad ones are found."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

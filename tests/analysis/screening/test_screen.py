@@ -1,6 +1,4 @@
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
@@ -8,9 +6,6 @@ import pytest
 
 from feel321.analysis.agreement import intraclass, krippendorff_alpha
 from feel321.analysis.screening import EXPERTISE, RULES, screen_raters
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 EXCERPTS, REDUCERS, PEOPLE = 10, 4, 12
 

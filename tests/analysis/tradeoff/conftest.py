@@ -1,21 +1,13 @@
 """A few recordings of different physics, measured once with all reducers."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+import pandas as pd
 import pytest
 
 from feel321.analysis.tradeoff.measure import measure_tradeoff
-from feel321.analysis.tradeoff.page import advise_tradeoff
+from feel321.analysis.tradeoff.page import Tradeoff, advise_tradeoff
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.synthesis import make_scene
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from feel321.analysis.tradeoff.page import Tradeoff
 
 SCENES = ("bumps", "constrained_drag", "circular_motion")
 

@@ -1,19 +1,13 @@
 """Frames made by hand, and what is judged of them."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import pandas as pd
 
 from feel321.analysis.tradeoff.judge import Context
 from feel321.analysis.tradeoff.measure import COLUMNS, DISTURBED, HALVES, MOUNTED, RECORDED
-from feel321.analysis.tradeoff.page import advise_tradeoff
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from feel321.analysis.tradeoff.page import Tradeoff
+from feel321.analysis.tradeoff.page import Tradeoff, advise_tradeoff
 
 LOSSES = ("level_db", "spectrum_db", "motion_db", "envelope_db")
 QUIET_DB = -60.0

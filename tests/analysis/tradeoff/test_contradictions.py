@@ -3,17 +3,17 @@
 What suffices is found a second time here, by public functions and other loops than `judge`'s.
 """
 
-from __future__ import annotations
-
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from feel321.analysis.tradeoff.judge import TOLERANCE_DB, Context
 from feel321.analysis.tradeoff.measure import measure_tradeoff, spread_turns
 from feel321.analysis.tradeoff.page import (
+    Tradeoff,
     advise_tradeoff,
     describe_choice,
     list_reducers,
@@ -24,11 +24,6 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import INVARIANTS
 from feel321.stimuli.thresholds import felt_level
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from feel321.analysis.tradeoff.page import Tradeoff
 
 RATE_HZ, N = 2000.0, 1000
 TIME_S = np.arange(N) / RATE_HZ

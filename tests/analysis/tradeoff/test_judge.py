@@ -1,23 +1,17 @@
 """Verdicts and choices: planted numbers, the battery's known failures, and the settings."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from feel321.analysis.tradeoff.battery import BATTERY
 from feel321.analysis.tradeoff.judge import FAILS_DB, FAILURES, Context
 from feel321.analysis.tradeoff.measure import measure_tradeoff
-from feel321.analysis.tradeoff.page import advise_tradeoff
+from feel321.analysis.tradeoff.page import Tradeoff, advise_tradeoff
 from feel321.stimuli.recording import Recording
 from tests.analysis.tradeoff.made import judge, make_frame, read_verdicts
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    from feel321.analysis.tradeoff.page import Tradeoff
 
 KNOWN = [(scene.name, *one) for scene in BATTERY.values() for one in scene.failing]
 

@@ -1,10 +1,10 @@
 """Measurements: against public functions, in closed form, and on reducers with planted faults."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from feel321.analysis.tradeoff import cost
@@ -15,11 +15,6 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import INVARIANTS
 from feel321.stimuli.thresholds import felt_level
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import pandas as pd
 
 KEY = ["kind", "recording", "reducer", "condition", "measure"]
 

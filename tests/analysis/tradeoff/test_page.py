@@ -1,16 +1,15 @@
 """The page: the frontier, the one row of single axes, the files, the words."""
 
-from __future__ import annotations
-
 import json
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from feel321.analysis.tradeoff.measure import measure_tradeoff
 from feel321.analysis.tradeoff.page import (
+    Tradeoff,
     advise_tradeoff,
     describe_choice,
     list_reducers,
@@ -18,15 +17,10 @@ from feel321.analysis.tradeoff.page import (
     mark_frontier,
     place_points,
 )
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from tests.analysis.test_dictionary import hold_to_dictionary
 from tests.analysis.tradeoff.test_people import rate
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.analysis.tradeoff.page import Tradeoff
-    from feel321.stimuli.recording import Recording
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """What ratings say of the reducers, and that they are heard only with a margin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

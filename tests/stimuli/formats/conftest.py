@@ -1,15 +1,9 @@
-from __future__ import annotations
-
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 MICROSECONDS = {"TimeCodeScale": "1.0/1000000", "TimeCodeModulus": 2**32}
 

@@ -1,17 +1,12 @@
 """Files that promise more than they hold, or hold more than anyone wants: small to write, large to read."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zipfile
 import zlib
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 HEADER = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H", 0x0100) + b"IM"
 

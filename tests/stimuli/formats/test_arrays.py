@@ -1,12 +1,11 @@
 """Arrays by their names (NPZ, MATLAB); MATLAB files are read in a process of their own, which damage may end."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import struct
 import zlib
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,10 +15,6 @@ from scipy.sparse import csc_array
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import UNITS
 from tests.stimuli.formats.hostile import pack_mat
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
 
 SIGNAL = np.random.default_rng(5).normal(size=(3, 40))
 AXES = dict(zip("xyz", SIGNAL, strict=True))

@@ -1,24 +1,19 @@
-from __future__ import annotations
-
 import hashlib
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.io import wavfile
 
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import STANDARD_GRAVITY
 from feel321.stimuli.wav import write_wav
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    Signal = NDArray[np.float64]
+Signal = NDArray[np.float64]
 
 
 # --- WAV ---

@@ -1,14 +1,12 @@
 """Doors with bounds: what a file promises is looked at before memory is taken, and only regular files are opened."""
 
-from __future__ import annotations
-
 import os
 import socket
 import sys
 import time
 import tracemalloc
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -16,9 +14,6 @@ import pytest
 from feel321 import intake
 from feel321.stimuli import read_recording, write_wav
 from tests.stimuli.formats.hostile import HOSTILE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 PROMISES = ["wav: promises 4 GB", "csv: time stamps of a century"]
 

@@ -1,7 +1,5 @@
 """ST-SIM and SPQI against loops, and against the numbers of the code that their authors published."""
 
-from __future__ import annotations
-
 import math
 from statistics import NormalDist
 

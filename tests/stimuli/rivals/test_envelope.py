@@ -1,7 +1,5 @@
 """Envelope correlation and modulation spectrum, against the analytic signal at the full rate and hand numbers."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Laws that every rival metric obeys."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Level and log-spectral distance, against loops and hand numbers."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,25 +1,20 @@
 """A real audio path on a machine without a sound card: PulseAudio of one's own, and ALSA names that lead there."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from threading import Timer
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tests.study.actuator.pulse import PATIENCE_S, RATE_HZ, Pulse
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
-    from numpy.typing import NDArray
 
 Measured = TypeVar("Measured")
 

@@ -1,7 +1,5 @@
 """Coils, a sensor and their faults, made apart from the product's own simulation: what was sent -> what is measured."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
@@ -39,7 +37,7 @@ class Loop:
     noise: float = 0.02
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(1))
 
-    def but(self, **changes: object) -> Loop:
+    def but(self, **changes: object) -> "Loop":
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def move(self, sent: np.ndarray) -> np.ndarray:

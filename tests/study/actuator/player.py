@@ -3,22 +3,18 @@
 Orders are JSON, one a line; every order but `start` and `stop` is answered by one line of JSON.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import asdict
 from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from feel321.study.actuator.output import Output, open_output
 from feel321.study.actuator.rig import read_rig
-
-if TYPE_CHECKING:
-    from feel321.study.session.ports import Playback
+from feel321.study.session.ports import Playback
 
 
 def main(folder: Path, *, rate_hz: float) -> None:

@@ -1,23 +1,17 @@
 """A PulseAudio server of one's own on a machine without a sound card, and ALSA names that lead there."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import numpy as np
 import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from pathlib import Path
-
-    from numpy.typing import NDArray
+from numpy.typing import NDArray
 
 RATE_HZ = 48000
 
@@ -115,7 +109,7 @@ class Pulse:
             self.server.send_signal(signal.SIGCONT)
 
     @contextmanager
-    def captured(self) -> Iterator[Capture]:
+    def captured(self) -> "Iterator[Capture]":
         """Record what the sink plays; the samples are there when the context is left."""
         raw = self.folder / f"capture-{time.monotonic_ns()}.raw"
         command = [

@@ -1,7 +1,5 @@
 """Calibration of simulated rigs: what was planted is found, faults are named, and a stop is silent within a block."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import asdict, replace

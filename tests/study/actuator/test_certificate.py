@@ -1,12 +1,11 @@
 """Certificates: what is written comes back, what was changed is refused, and predictions follow the exact filters."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import fields, replace
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,9 +30,6 @@ from feel321.study.actuator.rig import (
     take_device,
 )
 from tests.study.actuator.outside import predict
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RATE_HZ = 8000.0
 MADE = datetime(2026, 3, 1, 12, tzinfo=UTC)

@@ -1,12 +1,11 @@
-from __future__ import annotations
-
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
 
 from feel321.stimuli.sets.build import build_stimuli
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.synthesis import make_scene
 from feel321.study.actuator.delivered import (
@@ -17,10 +16,7 @@ from feel321.study.actuator.delivered import (
     reduce_stimuli,
 )
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, Rig
-
-if TYPE_CHECKING:
-    from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
-    from feel321.types import Samples
+from feel321.types import Samples
 
 RATE = 48000.0
 FULL_SCALE = 100.0

@@ -1,23 +1,18 @@
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy import signal
 
 from feel321.study.actuator.doctor import find_fault, find_pulse, make_pulse
 from feel321.study.actuator.response import Sweep, make_sweep, measure_sweep
 from feel321.study.actuator.rig import LimitsTable, Rig, SensorTable
 from tests.study.actuator.outside import Loop, make_rig
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from numpy.typing import NDArray
 
 RIG = Rig(
     limits=LimitsTable(peak_m_s2=100, rms_m_s2=50, duration_s=60),

@@ -1,14 +1,13 @@
 """Each fault of other coils than the product's is named, with the coil, or honestly unknown; healthy coils are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
+from feel321.study.actuator.certificate import Certificate
 from feel321.study.actuator.faults import Diagnosis, find_resonance, find_sensor_fault
 from feel321.study.actuator.response import Sweep, make_sweep
 from tests.study.actuator.outside import (
@@ -24,9 +23,6 @@ from tests.study.actuator.outside import (
     predict,
     send,
 )
-
-if TYPE_CHECKING:
-    from feel321.study.actuator.certificate import Certificate
 
 LOOPS = {
     "ordinary": Loop(),

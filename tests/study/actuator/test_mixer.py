@@ -1,11 +1,10 @@
 """The mixer and its parts: limiter, masking noise, and what comes out on every channel, whatever the blocks."""
 
-from __future__ import annotations
-
 import threading
 import tracemalloc
+from collections.abc import Iterator
 from itertools import cycle, pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +14,6 @@ from numpy.testing import assert_array_equal
 
 from feel321.study.actuator.mixer import Cue, Limiter, Masker, Mixer, make_pink
 from feel321.study.actuator.rig import ActuatorTable, LimitsTable, MaskingTable, Rig, SyncTable
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 # The limiter.
 

@@ -1,13 +1,13 @@
 """The output on every sink, by stand-ins for what no machine here would do: devices and their faults, and files."""
 
-from __future__ import annotations
-
 import sys
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Event
 from time import perf_counter, sleep
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,10 +27,6 @@ from feel321.study.actuator.device import (
 )
 from feel321.study.actuator.output import SENSOR_TAIL_S, Output, Take
 from feel321.study.actuator.rig import ActuatorTable, DeviceTable, Rig, SensorTable, TriggerTable
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
 
 LIMITS: Any = {"peak_m_s2": 100, "rms_m_s2": 100, "duration_s": 60}
 COILS = Device(0, "USB Audio: coils (hw:1,0)", "ALSA", 4, 0)

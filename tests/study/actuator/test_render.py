@@ -3,11 +3,10 @@
 How strongly is compared with brute force: the hand's acceleration, sample by sample.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,9 +36,6 @@ from feel321.study.actuator.rig import (
     SyncTable,
 )
 from feel321.study.session.ports import Tone
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RATE = 1000
 LIMITS = LimitsTable(peak_m_s2=100.0, rms_m_s2=100.0, duration_s=60.0)

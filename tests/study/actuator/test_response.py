@@ -1,11 +1,10 @@
 """Calibration against simulated coils, whose every property was planted, and against their exact filters."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
+from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,9 +23,6 @@ from feel321.study.actuator.rig import (
     SensorTable,
     SimulationTable,
 )
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 RATE_HZ = 8000.0
 SWEEP = Sweep(rate_hz=RATE_HZ)

@@ -1,21 +1,16 @@
 """The stream on a real audio path: every sample that was to be played is captured, and nothing else."""
 
-from __future__ import annotations
-
 import time
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    Sound = NDArray[np.float32]
+Sound = NDArray[np.float32]
 
 RATE_HZ = 48000
 

@@ -4,8 +4,6 @@ Who cheats is well informed: digests are mended, tables are made anew so that th
 the folder is made anew (`begin_anew`). Only a remote is out of reach.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io
@@ -15,10 +13,12 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.checkpoints import take_checkpoint
+from feel321.study.folder import StudyFolder
 from feel321.study.participants.answers import write_answers
 from feel321.study.participants.roster import Tombstone, write_roster, write_tombstone
 from feel321.study.participants.withdrawal import withdraw_participant
@@ -26,12 +26,7 @@ from feel321.study.ratings import write_matches, write_ratings
 from feel321.study.session import journal as journals
 from feel321.study.simulate import simulate_study
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-
-    Records = list[journals.Record]
+Records = list[journals.Record]
 
 
 @dataclass(frozen=True)

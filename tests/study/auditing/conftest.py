@@ -1,21 +1,15 @@
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.session.plan import make_plan
+from feel321.study.session.journal import Record
+from feel321.study.session.plan import Design, Plan, make_plan
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.journal import Record
-    from feel321.study.session.plan import Design, Plan
-
-    Edit = Callable[[list[Record]], list[Record]]
+Edit = Callable[[list[Record]], list[Record]]
 
 
 @pytest.fixture(scope="session")

@@ -1,11 +1,11 @@
 """Two finished studies to be falsified: simulated participants with all that a study can have, and one run on a rig."""
 
-from __future__ import annotations
-
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from pathlib import Path
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -21,10 +21,6 @@ from feel321.study.run import run_participant
 from feel321.study.sessions import read_room
 from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY, make_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
 
 SETTINGS = """
 [study]

@@ -1,10 +1,9 @@
 """Every way to falsify a study that changes data is seen with a remote."""
 
-from __future__ import annotations
-
 import random
 import shutil
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
+from pathlib import Path
 
 import pytest
 
@@ -14,10 +13,6 @@ from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import utc_now
 from tests.study.auditing.cheats import CHEATS, falsify
 from tests.study.auditing.finished import make_real, make_simulated
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from pathlib import Path
 
 REMARKED = {
     "a bad rater is withdrawn, by the verb",

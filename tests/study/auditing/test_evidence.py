@@ -1,7 +1,5 @@
 """Evidence in git: what was honestly done gives no finding; what contradicts a checkpoint gives one."""
 
-from __future__ import annotations
-
 import json
 import random
 import shutil
@@ -10,9 +8,10 @@ import subprocess
 import sys
 import time
 import zlib
+from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -33,9 +32,6 @@ from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.journal import utc_now
 from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 SEED = random.SystemRandom().randrange(10**6)
 """Another one each time: what is honest is so at any seed."""

@@ -1,11 +1,10 @@
 """One bad file is one finding with its name, whatever it holds; everything else is judged."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +15,6 @@ from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
 from tests.study.auditing.cheats import chain
 from tests.study.auditing.finished import make_simulated
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 FILES = (
     "study.toml", "rig.toml", "frozen.json", "ratings.csv", "participants.csv", "outputs.jsonl",

@@ -1,7 +1,5 @@
 """SIGKILL at random moments of every verb that writes: the same command finishes, nothing is lost or doubled."""
 
-from __future__ import annotations
-
 import os
 import random
 import shutil
@@ -10,8 +8,8 @@ import subprocess
 import sys
 import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -20,9 +18,6 @@ from feel321.study.folder import StudyFolder, create_study
 from feel321.study.participants.numbers import read_holders
 from feel321.study.session.journal import read_journal
 from tests.study.conftest import make_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 SETTINGS = make_settings("bumps", reducers=("sax321", "mag321", "dft321"), session="repeats = 2\n")
 SETTINGS += "[analysis]\ndraws = 100\n"

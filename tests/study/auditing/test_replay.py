@@ -1,26 +1,20 @@
 """The engine, run on a journal: what no session can have written is found, and what any session can write is not."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from feel321.protocols.tasks import PROTOCOLS
+from feel321.protocols.trial import Scale, Trial
 from feel321.study.session.events import ClockStepped, DeviceOpened, LineRecovered, SessionAborted
 from feel321.study.session.journal import Record
-from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from feel321.study.session.plan import Plan
+from feel321.study.session.ports import Abort, Act, Confirm, Feel, Move, Pause, Place, Playback
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.protocols.trial import Scale, Trial
-    from feel321.study.session.plan import Plan
-    from feel321.study.session.ports import Act, Place
-
-    Find = Callable[..., list[str]]
-    Present = Callable[..., list[Record]]
+Find = Callable[..., list[str]]
+Present = Callable[..., list[Record]]
 
 JUNK: tuple[Any, ...] = (None, "x", -1, 10**6, 0.5, True, [], {}, [1], {"a": None})
 

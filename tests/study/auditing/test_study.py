@@ -1,12 +1,11 @@
 """What was once written and is no longer so: audit finds it, names the file, and the line where there is one."""
 
-from __future__ import annotations
-
 import json
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
-from datetime import timedelta
-from typing import TYPE_CHECKING
+from datetime import datetime, timedelta
+from pathlib import Path
 
 import pytest
 
@@ -17,21 +16,13 @@ from feel321.study.folder import StudyFolder
 from feel321.study.participants.roster import write_roster
 from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session import events
-from feel321.study.session.journal import create_journal, read_journal, utc_now
-from feel321.study.session.plan import POLICIES, Stale, require_plan
+from feel321.study.session.journal import Record, create_journal, read_journal, utc_now
+from feel321.study.session.plan import POLICIES, Plan, Stale, require_plan
 from feel321.study.simulate import simulate_study
 from tests.study.auditing.cheats import chain, reseal, shift_times
 from tests.study.conftest import make_settings
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from datetime import datetime
-    from pathlib import Path
-
-    from feel321.study.session.journal import Record
-    from feel321.study.session.plan import Plan
-
-    Present = Callable[..., list[Record]]
+Present = Callable[..., list[Record]]
 
 STUDY = make_settings("bumps", reducers=("sax321", "dft321"), stimuli="", protocol="similarity")
 

@@ -1,11 +1,11 @@
 """A study that ends in an export: real people with something to hide, one who withdrew, and a program."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from contextlib import nullcontext
 from datetime import UTC, datetime, timedelta
 from itertools import count
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,10 +20,6 @@ from feel321.study.session.ports import Confirm
 from feel321.study.sessions import lead_session, open_room, plan_sessions
 from feel321.study.settings.read import read_settings
 from feel321.study.simulate import simulate_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 STUDY = """
 [study]

@@ -1,14 +1,12 @@
 """What an export holds and what it must not hold; the validators of the standards read it."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pandas as pd
 import pytest
@@ -18,9 +16,6 @@ from feel321.study.export import dataset as dataset_module
 from feel321.study.export.dataset import KEY_FILE, NO_METHODS, export_bids
 from feel321.study.folder import StudyFolder
 from tests.study.export.conftest import PLANTED
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 VALIDATOR = Path(sys.executable).with_name("bids-validator-deno")
 

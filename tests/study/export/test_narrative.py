@@ -1,24 +1,18 @@
 """The methods section: every number in it is one of the journals, the settings or `results.json`."""
 
-from __future__ import annotations
-
 import json
 import re
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from feel321.study.analyze import analyze_study
 from feel321.study.export.dataset import count_flow, write_methods
+from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan
 from tests.study.export.conftest import PLANTED
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
 
 
 @pytest.fixture(scope="module")

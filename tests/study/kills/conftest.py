@@ -1,7 +1,5 @@
 """Processes that die, or run where little is allowed, and the count of what that cost."""
 
-from __future__ import annotations
-
 import io
 import os
 import signal
@@ -9,15 +7,13 @@ import sys
 import traceback
 import warnings
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 # Windows has neither forks nor SIGKILL.
 collect_ignore_glob = ["sessions/*"] if os.name == "nt" else []

@@ -1,7 +1,5 @@
 """A lab on a machine without one: a private X server, a private PulseAudio, and short studies."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -10,10 +8,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -21,9 +20,6 @@ from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
 from tests.study.actuator.pulse import Pulse
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 FEEL321 = Path(sys.executable).with_name("feel321")
 PATIENCE_S = 600.0

@@ -1,12 +1,11 @@
 """What puts an end to a session, or nearly: the journal is whole, the device silent, and the session goes on."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
 import time
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -20,9 +19,6 @@ from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose
 from feel321.study.session.ports import Place
 from feel321.study.status import read_status
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 HAND = ("--simulate-participant",)
 TOTAL = 4

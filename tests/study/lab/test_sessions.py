@@ -1,12 +1,12 @@
 """Whole sessions in a real window, answered by real keys; no faults."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal
+from collections.abc import Callable
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -19,10 +19,6 @@ from feel321.study.participants.answers import write_answers
 from feel321.study.session.journal import read_journal
 from feel321.study.simulate import simulate_study
 from feel321.study.status import read_status
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 HAND = ("--simulate-participant",)
 

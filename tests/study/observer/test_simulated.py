@@ -1,7 +1,5 @@
-from __future__ import annotations
-
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -11,9 +9,6 @@ from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer.model import SPECTRAL, ObserverModel, Touch
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.ports import Confirm, Feel, Place
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
 
 
 def vary(model: ObserverModel, **changes: object) -> ObserverModel:

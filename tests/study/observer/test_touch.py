@@ -1,10 +1,9 @@
 """What stimuli feel like to simulated participants: stated sums, and surprises that no metric knows, recovered."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -28,9 +27,6 @@ from feel321.study.observer.model import (
 from feel321.study.settings.read import read_settings
 from feel321.study.simulate import regress_planted, simulate_study
 from tests.study.conftest import make_settings
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 MODEL = ObserverModel(spectral=40.0, temporal=30.0, reducers={"third": 45.0})
 TOUCH = Touch(MODEL)

@@ -1,12 +1,11 @@
 """A study whose sessions are written by hand, and studies that are made once and copied for each test."""
 
-from __future__ import annotations
-
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import count
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -26,10 +25,6 @@ from feel321.study.session.plan import PLAN_FILE, replay, require_plan
 from feel321.study.simulate import simulate_study
 from tests.study.conftest import SMALLEST_STUDY
 from tests.study.participants.planned import TRIALS, make_small_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 def tell_time() -> datetime:

@@ -1,26 +1,19 @@
 """Answers of a whole study, derived and gone with who withdraws; personal ones are apart from the journal."""
 
-from __future__ import annotations
-
 import csv
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
 from feel321.study.auditing.study import audit_study, examine
+from feel321.study.folder import StudyFolder
 from feel321.study.participants import answers
 from feel321.study.participants.answers import write_answers
 from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.journal import read_journal, utc_now
 from feel321.study.simulate import simulate_study
 from tests.study.participants.conftest import ASKING, copy_study
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-
 
 SCALES = """
 [tasks.realism]

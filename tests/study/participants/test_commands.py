@@ -1,16 +1,12 @@
-from __future__ import annotations
-
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
 from feel321.study.cli import main
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    Say = Callable[..., tuple[int, str, str]]
+Say = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture

@@ -1,24 +1,18 @@
 """Who may read what a participant gave: from the first byte, whatever the umask is."""
 
-from __future__ import annotations
-
 import os
 import stat
 import sys
+from collections.abc import Iterator
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
+from feel321.study.folder import StudyFolder
 from feel321.study.participants.withdrawal import recording_output
 from feel321.study.simulate import simulate_study
 from tests.study.participants.conftest import ASKING
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="Windows knows no modes")
 

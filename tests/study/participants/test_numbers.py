@@ -1,15 +1,15 @@
 """Numbers in the design: dense, unique and given again, whoever asks for them and dies."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
+from feel321.stimuli.sets.manifest import StimulusSet
+from feel321.study.folder import StudyFolder
 from feel321.study.participants.numbers import (
     PLANNED,
     Station,
@@ -21,12 +21,7 @@ from feel321.study.participants.numbers import (
 )
 from feel321.study.participants.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import list_journals
-from feel321.study.session.plan import PLAN_FILE, make_plan, require_plan
-
-if TYPE_CHECKING:
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.folder import StudyFolder
-    from feel321.study.session.plan import Design, Plan
+from feel321.study.session.plan import PLAN_FILE, Design, Plan, make_plan, require_plan
 
 
 @pytest.fixture

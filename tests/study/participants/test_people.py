@@ -1,9 +1,8 @@
 """What is known of participants: rows of the roster, remarks on rigs, tombstones."""
 
-from __future__ import annotations
-
 import json
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,9 +19,6 @@ from feel321.study.participants.roster import (
 )
 from feel321.study.participants.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import Anchor
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def test_one_row_per_participant_by_plan_and_journals(lab: Any, now: Any) -> None:

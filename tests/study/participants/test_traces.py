@@ -1,30 +1,25 @@
 """Marks planted in a study are nowhere in it once somebody withdrew, and outputs elsewhere are named."""
 
-from __future__ import annotations
-
 import gzip
 import json
 import shutil
 import tempfile
 import zipfile
+from collections.abc import Iterator
 from dataclasses import replace
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from feel321.study.auditing.study import audit_study, examine
 from feel321.study.check import build_study
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.participants.withdrawal import recording_output
 from feel321.study.session import engine
 from feel321.study.session.journal import utc_now
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
 
 WHO, SECRET = "sim002", "Zwiebelturm-4711"
 

@@ -1,27 +1,21 @@
-from __future__ import annotations
-
 import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from feel321.files import hold_lock
-from feel321.study.participants.numbers import read_holders
+from feel321.study.folder import StudyFolder
+from feel321.study.participants.numbers import Holder, read_holders
 from feel321.study.participants.roster import find_leftovers, read_tombstone, write_roster
 from feel321.study.participants.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
-    from feel321.study.participants.numbers import Holder
 
 DYING = """
 import os, signal, sys

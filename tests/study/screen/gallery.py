@@ -3,15 +3,13 @@
 Run it by itself, on a display: gallery.py FOLDER LANGUAGE WIDTH HEIGHT [few]
 """
 
-from __future__ import annotations
-
 import struct
 import sys
 import time
 import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import Question, read_texts
@@ -20,11 +18,8 @@ from feel321.protocols.trial import MATCHING, THRESHOLD, Judgement, Page, Part, 
 from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose
 from feel321.study.screen.sheet import LEADING, Text, measure
-from feel321.study.screen.window import open_screen
+from feel321.study.screen.window import Window, open_screen
 from feel321.study.session.ports import Place
-
-if TYPE_CHECKING:
-    from feel321.study.screen.window import Window
 
 PARTS = {
     "realism": (Part("test", "s1"),),

@@ -4,8 +4,6 @@ Run on a display: lead.py. A line of JSON says what to show, with `steps`, `size
 follows are orders. When that is over, it waits for the next one, for importing PsychoPy takes longer than most tests.
 """
 
-from __future__ import annotations
-
 import json
 import queue
 import threading
@@ -15,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from runpy import run_path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import read_scales, read_texts
@@ -25,11 +23,9 @@ from feel321.study.screen.layout import compose
 from feel321.study.screen.presenter import ScreenPresenter
 from feel321.study.screen.window import Window, open_screen
 from feel321.study.session.engine import Session, Stopped
+from feel321.study.session.events import SessionEvent
 from feel321.study.session.journal import Records
 from feel321.study.session.ports import Place, Playback, Surface
-
-if TYPE_CHECKING:
-    from feel321.study.session.events import SessionEvent
 
 gallery = run_path(str(Path(__file__).with_name("gallery.py")))
 

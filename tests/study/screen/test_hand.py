@@ -1,7 +1,5 @@
 """The hand before a screen that obeys keys as the real one does."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import pytest

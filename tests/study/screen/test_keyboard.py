@@ -1,10 +1,9 @@
 """What keys, clicks and signals do to the answer to a trial or a question."""
 
-from __future__ import annotations
-
 import os
 import signal
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -13,10 +12,6 @@ from feel321.study.keys import USUAL, KeysTable
 from feel321.study.screen.input import COARSE_SPEEDS, Answer, Form, InputEvent, count_repeats
 from feel321.study.screen.sheet import Box, Target
 from feel321.study.screen.window import HELD, drop_repeats, hold_signals, name_key
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 
 TRACK = Target(Box(0.0, 0.0, 200.0, 10.0), "mark", "test", Box(0.0, 0.0, 200.0, 10.0))
 

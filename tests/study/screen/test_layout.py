@@ -1,13 +1,12 @@
 """Laws of every screen, small or large and in both languages: nothing overlaps, every text fits and can be read."""
 
-from __future__ import annotations
-
 import itertools
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -18,9 +17,6 @@ from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose, find_overflows
 from feel321.study.screen.sheet import LEADING, Area, Box, Photo, Sheet, Text, measure
 from feel321.study.session.ports import Place
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 SIZES = [(1024, 768), (1280, 1024), (1920, 1080), (1920, 1200), (2560, 1440)]
 LEAST = 0.022

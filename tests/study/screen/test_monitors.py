@@ -1,17 +1,13 @@
 """Real windows on a private X server with two monitors side by side: 1000 and 600 pixels wide."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 WIDTHS, HEIGHT = (1000, 600), 500
 

@@ -1,17 +1,13 @@
 """Real windows, real keys, a real mouse; only the actuators are silent."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 def test_slider_by_keys(seat: Callable[..., Any]) -> None:

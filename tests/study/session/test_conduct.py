@@ -1,24 +1,19 @@
 """One trial: what is felt, what is refused and why, what makes an attempt a bad one."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
 
 from feel321.protocols.tasks import make_task
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.session.plan import Design, Plan, make_plan
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
 from tests.study.conftest import list_events
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-
-    Present = Callable[..., list[Any]]
+Present = Callable[..., list[Any]]
 
 DONE = Confirm(0.0, {"test": 50.0}, 1.5)
 WHOLE, CUT = Playback(1.0, 1.0), Playback(1.0, 1.0, completed=False)

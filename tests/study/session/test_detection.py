@@ -1,39 +1,34 @@
 """The threshold block in a session: adaptive levels, resumed from the journal wherever it breaks off."""
 
-from __future__ import annotations
-
 import os
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdBlock
 from feel321.protocols.trial import THRESHOLD, Flow
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.observer.model import ObserverModel
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.engine import run_session
+from feel321.study.session.journal import Record
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import (
     Design,
+    Plan,
     Stale,
     create_plan,
     make_plan,
     recall_detection,
     require_plan,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.journal import Record
-    from feel321.study.session.plan import Plan
 
 FLOW = Flow(min_response_s=0.45, rest_s=1.0, break_s=1.0)
 """A random clicker answers faster than that in a third of the trials, which then come again."""

@@ -1,25 +1,19 @@
 """The loop: what a session consists of, how it is broken off, and how it goes on."""
 
-from __future__ import annotations
-
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.session.plan import replay
+from feel321.study.session.plan import Plan, replay
 from feel321.study.session.ports import Abort, Confirm, Pause, Playback
 from tests.study.conftest import list_events
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.study.session.plan import Plan
-
-    Present = Callable[..., list[Any]]
+Present = Callable[..., list[Any]]
 
 
 def test_a_session_follows_the_plan_and_its_journal_tells_everything_in_order(

@@ -1,11 +1,11 @@
 """No session is wasted in silence: what the device loses comes again, is named, and costs no attempt."""
 
-from __future__ import annotations
-
 import hashlib
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,18 +16,12 @@ from feel321.study.auditing.study import audit_journals
 from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import find_loss
 from feel321.study.session.journal import Chain
-from feel321.study.session.plan import read_dossier, replay, require_plan
+from feel321.study.session.plan import Plan, read_dossier, replay, require_plan
 from feel321.study.session.ports import Abort, Confirm, Playback
 from feel321.study.status import find_flags
 from tests.study.conftest import list_events
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.study.session.plan import Plan
-
-    Present = Callable[..., list[Any]]
+Present = Callable[..., list[Any]]
 
 GOOD = {
     "level_error_db": 0.5,

@@ -1,11 +1,12 @@
 """The journal of a session: a chain that shows every change, and no record is lost or torn."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -14,6 +15,7 @@ from hypothesis import strategies as st
 from feel321.study.session.events import TrialContinued
 from feel321.study.session.journal import (
     START,
+    Journal,
     Record,
     create_journal,
     digest,
@@ -23,14 +25,7 @@ from feel321.study.session.journal import (
     write_line,
 )
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from datetime import datetime
-    from pathlib import Path
-
-    from feel321.study.session.journal import Journal
-
-    Now = Callable[[], datetime]
+Now = Callable[[], datetime]
 
 JSON = st.recursive(
     st.none()

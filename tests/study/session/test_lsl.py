@@ -1,13 +1,12 @@
 """Onsets on the lab streaming layer: each once, in order, at the time of the journal's clock."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -17,9 +16,6 @@ from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Record
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Stale, create_plan
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TOLERANCE_S = 0.002
 """Two clocks of one machine, read one after the other."""

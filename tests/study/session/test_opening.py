@@ -1,30 +1,24 @@
 """Beginning and resuming: what is refused and what differs, who may write, and what a long absence means."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.session.events import PageRead, SessionReleased, read_event
 from feel321.study.session.journal import create_journal, read_journal, require_journal, utc_now
 from feel321.study.session.opening import open_session
-from feel321.study.session.plan import Stale, make_plan, require_plan
+from feel321.study.session.plan import Design, Plan, Stale, make_plan, require_plan
 from tests.study.conftest import list_events
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.plan import Design, Plan
-
-    Present = Callable[..., list[Any]]
-    Now = Callable[[], datetime]
+Present = Callable[..., list[Any]]
+Now = Callable[[], datetime]
 
 
 def rated_trials(records: list[Any]) -> list[int]:

@@ -1,26 +1,20 @@
 """The pace of a task: silence before parts, time for an answer, and fixed onsets."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Flow
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.auditing.replay import audit_steps
-from feel321.study.session.plan import make_plan
+from feel321.study.session.plan import Design, Plan, make_plan
 from feel321.study.session.ports import Confirm, Playback, TimedOut
 
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.plan import Design, Plan
-
-    MakePlan = Callable[..., Plan]
+MakePlan = Callable[..., Plan]
 
 
 @pytest.fixture

@@ -1,20 +1,21 @@
-from __future__ import annotations
-
 import json
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.session.journal import digest
-from feel321.study.session.plan import Plan, create_plan, list_by_code, make_plan, require_plan
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.plan import Design
+from feel321.study.session.plan import (
+    Design,
+    Plan,
+    create_plan,
+    list_by_code,
+    make_plan,
+    require_plan,
+)
 
 
 def remake(design: Design, stimuli: StimulusSet, name: str = "p01", *, number: int = 1) -> Plan:

@@ -1,27 +1,20 @@
 """Question pages, and several scales after one vibration: what is recorded, and what the audit finds."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import Question, make_scales, read_texts
+from feel321.protocols.trial import Scale
+from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.auditing.replay import audit_steps
 from feel321.study.participants import answers
-from feel321.study.session.plan import make_plan, read_dossier
+from feel321.study.session.plan import Design, Plan, make_plan, read_dossier
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
-    from feel321.protocols.trial import Scale
-    from feel321.stimuli.sets.manifest import StimulusSet
-    from feel321.study.session.plan import Design, Plan
-
 
 QUESTIONS = (
     Question("age", "number", "How old are you?", low=18, high=99, personal=True, required=False),

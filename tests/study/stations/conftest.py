@@ -1,18 +1,13 @@
 """A study as stations have it."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from feel321.study.check import build_study
 from feel321.study.folder import create_study
 from tests.study.conftest import make_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,5 @@
 """Sessions of several stations collected into one study."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -9,11 +7,12 @@ import re
 import shutil
 import signal
 import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
@@ -38,9 +37,6 @@ from feel321.study.session.journal import (
 from feel321.study.session.plan import PLAN_FILE, create_plan, require_plan
 from feel321.study.simulate import simulate_study
 from feel321.study.status import read_status
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
 
 
 def tell_time() -> datetime:

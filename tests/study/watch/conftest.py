@@ -1,10 +1,8 @@
 """A small study with two simulated participants, built once."""
 
-from __future__ import annotations
-
 import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -12,9 +10,6 @@ from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session import journal as journals
 from feel321.study.simulate import simulate_study
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 STUDY = """
 [study]

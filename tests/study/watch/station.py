@@ -1,26 +1,21 @@
 """Runs a simulated session slowly, with an underrun in its first part: station.py STUDY ID SEED SLEEP_S."""
 
-from __future__ import annotations
-
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.folder import StudyFolder
 from feel321.study.observer.model import Casting, make_model
 from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.session.journal import utc_now
+from feel321.study.session.ports import Playback
 from feel321.study.sessions import lead_session, open_room, plan_sessions
 from feel321.study.settings.read import make_identity, read_settings
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from feel321.study.session.ports import Playback
 
 
 class SlowObserver(SimulatedObserver):

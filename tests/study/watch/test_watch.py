@@ -1,31 +1,26 @@
 """The page of running sessions: renewed beside real processes, whole at any time, and blind."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.session import events
 from feel321.study.session import journal as journals
 from feel321.study.session.plan import PLAN_FILE, require_plan
 from feel321.study.status import Watch
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import pytest
-
-    from feel321.study.folder import StudyFolder
 
 STATION = Path(__file__).with_name("station.py")
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)

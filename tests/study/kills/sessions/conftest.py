@@ -1,15 +1,15 @@
 """Sessions of every protocol, led in processes that die: two presenters, and what counts as a loss."""
 
-from __future__ import annotations
-
 import csv
 import signal
 from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime, timedelta
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ import pytest
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import Question, read_scales
 from feel321.protocols.threshold import USUAL, MatchingBlock, ThresholdBlock
-from feel321.protocols.trial import Flow, Scale
-from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
+from feel321.protocols.trial import Flow, Page, Part, Scale, Task, Trial
+from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
@@ -27,21 +27,21 @@ from feel321.study.observer.simulated import SimulatedObserver
 from feel321.study.participants.numbers import Station, plan_participants
 from feel321.study.participants.roster import write_roster
 from feel321.study.ratings import write_ratings
-from feel321.study.session.journal import read_journal
-from feel321.study.session.plan import Design, Stale, make_plan, require_plan
-from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause, Playback
+from feel321.study.session.journal import Journal, Record, read_journal
+from feel321.study.session.plan import Design, Plan, Stale, make_plan, require_plan
+from feel321.study.session.ports import (
+    Abort,
+    Act,
+    Confirm,
+    Feel,
+    Move,
+    Pause,
+    Place,
+    Playback,
+    Presenter,
+)
 from feel321.study.sessions import Room, lead_session
 from feel321.study.settings.about import ObserverTable
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from feel321.protocols.trial import Page, Part, Task, Trial
-    from feel321.stimuli.sets.manifest import Stimulus
-    from feel321.study.session.journal import Journal, Record
-    from feel321.study.session.plan import Plan
-    from feel321.study.session.ports import Act, Place, Presenter
 
 STUDY = """
 [[recordings]]

@@ -1,26 +1,21 @@
 """Hostile machines: what the user is told in one line, what is kept, and that the same command then goes on."""
 
-from __future__ import annotations
-
 import ctypes
 import resource
 import shutil
 import subprocess
 import sys
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from feel321.files import hold_lock
 from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
+from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
 
 CLONE_NEWNS = 0x00020000
 

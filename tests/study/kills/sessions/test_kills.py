@@ -5,18 +5,14 @@ Every protocol dies once in each way; the soak tests go through all instants, pr
 `k` counts the calls that leave a trace on the disk (or, with `j`, the records); an instant is a share of a session.
 """
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterable
 from itertools import product
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from feel321.study.session.journal import read_journal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-    from pathlib import Path
 
 TASKS = (
     "realism",

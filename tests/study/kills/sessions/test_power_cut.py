@@ -1,18 +1,13 @@
 """Power cuts: a journal that ends at any byte."""
 
-from __future__ import annotations
-
 import shutil
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import pytest
 
+from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.study.folder import StudyFolder
 
 TAIL = 4096
 """So many bytes at the end of a journal may be gone."""
