@@ -158,14 +158,24 @@ def measure(words: str, size: float, *, bold: bool = False) -> float:
 @cache
 def _measure_em(words: str, *, bold: bool) -> tuple[float, float]:
     """Measure a line with letters pushed together where they may be, and without, as the window's text engine does."""
+    width = sum(_measure_letter(letter, bold=bold) for letter in words)
+    if list_missing(words):
+        return width, width
     font = _open_font(bold=bold)
     font.set_text(words, 0.0)
-    width, _ = font.get_width_height()
-    return float(width) / 64 / 1000, sum(_measure_letter(letter, bold=bold) for letter in words)
+    return float(font.get_width_height()[0]) / 64 / 1000, width
+
+
+def list_missing(words: str) -> list[str]:
+    """List the letters that the screen's font lacks."""
+    font = _open_font(bold=False)
+    return [letter for letter in dict.fromkeys(words) if not font.get_char_index(ord(letter))]
 
 
 @cache
 def _measure_letter(letter: str, *, bold: bool) -> float:
+    if list_missing(letter):
+        return 1.0  # an em, as a box that stands for it
     return _open_font(bold=bold).load_char(ord(letter)).linearHoriAdvance / 65536 / 1000
 
 
@@ -242,6 +252,9 @@ class Sheet:
             if line:
                 row = Box(box.left, box.top + place * step, box.width, step)
                 self.items.append(Text(row, line, size_px, color, bold, align))
+            if missing := list_missing(line):
+                letters = ", ".join(map(repr, missing))
+                self.faults.append(f"the screen's font has no {letters}; write it without")
             if measure(line, size_px, bold=bold) > box.width + 0.5:
                 short = line if len(line) <= SHOWN else f"{line[:SHOWN]}..."
                 self.faults.append(f"got {short!r}, which is too long for its place; shorten it")

@@ -156,6 +156,15 @@ def test_a_line_too_many_is_told(name: str, most: int) -> None:
         assert len(find_overflows(texts, [scale])) == n_lines - most
 
 
+@pytest.mark.parametrize("letter", ["漢", "\0", "\x07"])
+def test_a_letter_that_the_font_lacks_is_told(letter: str) -> None:
+    texts = make_screen_texts(read_texts())
+    scale = replace(read_scales()["realism"], question=f"How real, {letter}?")
+    fault = f"scale 'realism': the screen's font has no {letter!r}; write it without"
+    assert find_overflows(texts, [scale]) == [fault]
+    assert find_overflows(texts, [replace(scale, question="Wie echt, größer µ?")]) == []
+
+
 SHOWN = {"de": (1024, 768), "en": (1920, 1080)}
 
 
