@@ -14,7 +14,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Self
 
 from feel321 import intake
-from feel321.doors import as_path, follow
+from feel321.doors import as_names, as_path, follow
 from feel321.jobs import as_workers
 from feel321.study.folder import (
     Outcome,
@@ -362,8 +362,9 @@ class Study(Laboratory):
         """
         from feel321.study.auditing.study import examine
 
+        urls = as_names(remotes, "remotes")
         with follow(self.progress, "audit") as step:
-            return examine(self.choose(rehearsals), expect=expect, remotes=remotes, progress=step)
+            return examine(self.choose(rehearsals), expect=expect, remotes=urls, progress=step)
 
     def seal(self, reason: str = "", *, to: options.Remote = "") -> Seal:
         """Take a checkpoint of the study, and push it to its remotes.

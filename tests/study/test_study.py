@@ -66,6 +66,18 @@ def test_steps_find_what_the_verbs_find(pilot: Study, capsys: pytest.CaptureFixt
     assert len(pilot.table().rows) == (~pilot.ratings()["rejected"]).sum()
 
 
+def test_what_is_no_list_no_code_and_no_place_is_refused(pilot: Study) -> None:
+    before = sorted(pilot.folder.path.rglob("*"))
+    with pytest.raises(TypeError, match="remotes must be a list of names, got the text"):
+        pilot.audit(remotes="usb.git")
+    with pytest.raises(ValueError, match="participant 3 has no session here; known: sim001, "):
+        pilot.withdraw(participant=3, is_sure=True)  # type: ignore[arg-type] - that it is refused is the point
+    for place in ("sessions", "stimuli/mine", "rehearsals"):
+        with pytest.raises(ValueError, match=r"holds what analyze reads; name a folder outside"):
+            pilot.analyze(out=pilot.folder.path / place)
+    assert sorted(pilot.folder.path.rglob("*")) == before
+
+
 def test_settings_are_changed_in_their_place(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_text(SHORT, encoding="utf-8")
     study = Study.open(tmp_path).with_settings({

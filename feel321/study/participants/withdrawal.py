@@ -82,8 +82,8 @@ def withdraw_participant(
 def _withdraw_rehearsals(study: StudyFolder, participant: str, say: Say) -> list[str]:
     """Remove what was rehearsed under the participant's code."""
     rehearsals = replace(study, is_rehearsal=True).sessions
-    folder = rehearsals / participant
-    is_code = not study.is_rehearsal and journals.PARTICIPANT_ID.fullmatch(participant)
+    folder = rehearsals / str(participant)
+    is_code = not study.is_rehearsal and journals.PARTICIPANT_ID.fullmatch(str(participant))
     if not is_code or not (folder.is_symlink() or folder.is_dir()):
         return []
     _remove_link(folder, say)
@@ -295,8 +295,14 @@ def _find_withdrawn(study: StudyFolder) -> tuple[list[str], str]:
 def recording_output(
     study: StudyFolder, verb: str, path: Path, *, now: journals.Clock
 ) -> Iterator[None]:
-    """Record where a verb writes, before it does; the study's own folders of results need no record."""
+    """Record where a verb writes, before it does; the study's own folders of results need no record.
+
+    A report among journals or stimuli would be taken for one of them.
+    """
     path = path.resolve()
+    kept = {study.path / name for name in ("sessions", "rehearsals", "stimuli", "calibration")}
+    if study.settings.is_file() and {one.resolve() for one in kept} & {path, *path.parents}:
+        raise ValueError(f"{path}: holds what {verb} reads; name a folder outside of it")
     if not study.settings.is_file() or _is_own(study, path):
         with closing_results(study, path):
             yield
