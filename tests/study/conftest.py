@@ -58,6 +58,16 @@ def make_settings(
 
 SMALLEST_STUDY = make_settings("bumps")
 
+ASK_AGE = """[[session.questions]]
+name = "age"
+kind = "number"
+question = "How old are you?"
+low = 5
+high = 120
+personal = true
+required = false
+"""
+
 # Spectral and temporal match of the made-up reducers: not collinear, so that planted effects can be told apart.
 MATCHES = {"first": (0.9, 0.2), "second": (0.7, 0.6), "third": (0.2, 0.5), "fourth": (-3.0, 0.1)}
 

@@ -20,8 +20,9 @@ from feel321.study.session.ports import Confirm
 from feel321.study.sessions import lead_session, open_room, plan_sessions
 from feel321.study.settings.read import read_settings
 from feel321.study.simulate import simulate_study
+from tests.study.conftest import ASK_AGE
 
-STUDY = """
+STUDY = f"""
 [study]
 name = "Taps"
 seed = 5
@@ -39,15 +40,7 @@ glove = ["none", "thin"]
 [session.rehearsal]
 training = 0
 practice = 0
-[[session.questions]]
-name = "age"
-kind = "number"
-question = "How old are you?"
-low = 5
-high = 120
-personal = true
-required = false
-[[session.questions]]
+{ASK_AGE}[[session.questions]]
 name = "tired"
 kind = "likert"
 question = "How tired is your hand?"

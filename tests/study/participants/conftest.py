@@ -23,7 +23,7 @@ from feel321.study.session.journal import (
 )
 from feel321.study.session.plan import PLAN_FILE, replay, require_plan
 from feel321.study.simulate import simulate_study
-from tests.study.conftest import SMALLEST_STUDY
+from tests.study.conftest import ASK_AGE, SMALLEST_STUDY
 from tests.study.participants.planned import TRIALS, make_small_plan
 
 
@@ -106,16 +106,7 @@ def now() -> Callable[[], datetime]:
     return tell_time
 
 
-ASKING = """
-[[session.questions]]
-name = "age"
-kind = "number"
-question = "How old are you?"
-low = 5
-high = 120
-personal = true
-required = false
-[[session.questions]]
+ASKING = f"""{ASK_AGE}[[session.questions]]
 name = "hand"
 kind = "choice"
 question = "Which hand?"
