@@ -94,7 +94,8 @@ class Tradeoff(PageResult):
     def headline(self) -> str:
         """Which one reducer suffices for all recordings, in one sentence."""
         judged = [one for one in list_rows(self.choices) if not one["problem"]]
-        where = "the recording" if len(judged) == 1 else f"all {len(judged)} recordings"
+        few = {1: "the recording", 2: "both recordings"}
+        where = few.get(len(judged), f"all {len(judged)} recordings")
         if self.common:
             answers = [(one["answer"], *one["ties"].split()) for one in judged]
             simpler = sum(self.common[0] not in names for names in answers)

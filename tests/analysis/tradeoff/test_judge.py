@@ -1,5 +1,6 @@
 """Verdicts and choices: planted numbers, the battery's known failures, and the settings."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -156,6 +157,8 @@ def test_what_cannot_be_judged_is_said(result: Tradeoff) -> None:
     problems = dict(zip(result.choices["recording"], result.choices["problem"], strict=True))
     assert problems["calm"] == "silent from 20 to 1000 Hz"
     assert "all 3 recordings" in result.headline
+    judged = result.choices[result.choices["problem"] == ""]
+    assert "for both recordings" in replace(result, choices=judged.head(2)).headline
     short = Recording(np.ones((3, 100)), 4000.0, "short")
     with pytest.raises(ValueError, match=r"from 20 to 1000 Hz, got none \(short: shorter"):
         advise_tradeoff(measure_tradeoff(short))
