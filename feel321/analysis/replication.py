@@ -29,8 +29,8 @@ from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.model import fit_primary, fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells
 from feel321.analysis.primary.sensitivity import FEWEST_REDUCERS, measure_excess
+from feel321.analysis.table.columns import ROTATIONS
 from feel321.analysis.table.items import recast_pairs, split_tests
-from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
 from feel321.analysis.words import INTERVALS
 from feel321.doors import check_name

@@ -31,8 +31,8 @@ from feel321.analysis.primary.plan import (
 from feel321.analysis.report import folder as results
 from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table import reading
+from feel321.analysis.table.columns import Step
 from feel321.analysis.table.items import Part, Table, split_tests
-from feel321.analysis.table.metrics import Step
 from feel321.analysis.table.reading import Further
 from feel321.analysis.words import format_name
 from feel321.doors import check_name

@@ -9,7 +9,7 @@ from feel321.analysis.page import render_words
 from feel321.analysis.report import means, primary
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
-from feel321.analysis.table.metrics import FURTHER
+from feel321.analysis.table.columns import FURTHER
 from feel321.analysis.table.reading import Further, read_table
 from feel321.names import MATCHES
 

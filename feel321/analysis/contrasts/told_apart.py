@@ -14,8 +14,8 @@ import numpy as np
 
 from feel321.analysis.arrays import CONFIDENCE, check_columns
 from feel321.analysis.primary.model import adjust_holm
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.items import TEST, Table, open_ratings
-from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, HIGHEST, PAIRED
 from feel321.doors import check_name
 from feel321.names import REDUCER_NAMES

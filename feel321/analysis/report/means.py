@@ -22,6 +22,7 @@ from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, read_ends
+from feel321.analysis.table.columns import describe_explored, order_reducers
 from feel321.analysis.table.items import (
     Part,
     find_sources,
@@ -31,7 +32,6 @@ from feel321.analysis.table.items import (
     split_arms,
     split_tests,
 )
-from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.reading import SPACE, note_apart
 from feel321.analysis.table.schema import ANSWERED, APART, CHOSEN, PAIR, PAIRED, RECAST, ROLES
 from feel321.analysis.words import format_method, format_span
@@ -41,8 +41,8 @@ if TYPE_CHECKING:
 
     from feel321.analysis.association import Panel
     from feel321.analysis.resampling import Choices
+    from feel321.analysis.table.columns import Step
     from feel321.analysis.table.items import Table
-    from feel321.analysis.table.metrics import Step
     from feel321.records import Statistic
 
 REDUCER, TEST = "reducer", ROLES[0]

@@ -20,7 +20,7 @@ from feel321.analysis.report.section import FIXED, Found, Row, Section, TableFor
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening import RULES
-from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
+from feel321.analysis.table.columns import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIR, PAIRED, RECAST

@@ -222,9 +222,10 @@ def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     n = int((~tested).sum())
     if n == len(ratings):
         raise ValueError(f"ratings must be of test stimuli, got no row with role 'test' among {n}")
-    left = f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli"
-    left = f"{left} (hidden references, anchors) {'are' if n > 1 else 'is'} left out."
-    return ratings[tested], (left,)
+    left = (
+        f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli (hidden references, anchors)"
+    )
+    return ratings[tested], (f"{left} {'are' if n > 1 else 'is'} left out.",)
 
 
 def name_stimuli(ratings: DataFrame) -> DataFrame:
@@ -232,11 +233,9 @@ def name_stimuli(ratings: DataFrame) -> DataFrame:
     if STIMULUS in ratings:
         return ratings
     if {"recording", "reducer"} <= set(ratings):
-        first, *others = (ratings[name] for name in NAMING if name in ratings)
-        names, known = first.astype(str), first.notna()
-        for one in others:
-            names, known = names + "/" + one.astype(str), known & one.notna()
-        return ratings.assign(**{STIMULUS: names.where(known)})
+        parts = ratings[[name for name in NAMING if name in ratings]]
+        names = parts.astype(str).agg("/".join, axis=1)
+        return ratings.assign(**{STIMULUS: names.where(parts.notna().all(axis=1))})
     spoken = next((name for name in SPOKEN if name in ratings), None)
     return ratings.assign(**{STIMULUS: ratings[spoken]}) if spoken else ratings
 
