@@ -79,8 +79,6 @@ def test_a_planted_effect_of_a_rotation_mean_is_found(small: object) -> None:
         assert found["value"] > 0.9
         assert found["low"] > 0.5
         assert other["high"] < found["low"]
-    said = render_words("metrics", **section.facts)[-1]
-    assert said.startswith("2 further metrics explored: spectral match rotation mean, mean of")
 
 
 def test_declared_ones_are_in_the_model_and_each_points_its_way(small: object) -> None:

@@ -159,16 +159,9 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         Bootstrap draws per interval, and random pairings per permutation test; at least 2.
     margin : float, optional
         Points by which reducers may differ and still count as equivalent; equivalence is not tested if left out.
-    metrics : sequence of str, optional
-        Numeric columns of the manifest that the primary analysis is about, declared before the ratings were seen;
-        ``spectral_match_bounded`` and ``temporal_match`` if left out (`read_table`).
-    sources : Mapping of str to str, optional
-        Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
-        ``source``: intervals then draw sources.
-    further : Further, optional
-        Metrics to explore that neither file holds, such as rotation statistics.
-    info : Mapping of str to MetricInfo, optional
-        What metrics declare: which way each points, its bounds, label and unit (`read_table`).
+    metrics, sources, further, info : optional
+        The metrics of the primary analysis, what recordings were made from, metrics that neither file holds, and what
+        metrics declare, all as `read_table` takes them; left out with a Table, which has them.
     paper : Paper, optional
         The paper that is replicated: its claims are answered first.
     about : About, optional
@@ -223,9 +216,9 @@ def _open(
     """Read the ratings; return them with what they were read from."""
     if isinstance(ratings, Table):
         if manifest is not None or any(one is not None for one in choice.values()):
+            what = "manifest, metrics, sources, further and info"
             raise ValueError(
-                "manifest, metrics, sources, further and info must be left out with a Table, which has them; give them "
-                "to read_table"
+                f"{what} must be left out with a Table, which has them; give them to read_table"
             )
         return ratings, {"ratings": ratings.rows}
     if manifest is None:
@@ -405,7 +398,6 @@ def _write(table: Table, results: Results, *, found: Everything, target: Path) -
         "results": results, "title": TITLE, "questions": QUESTIONS, "blocks": blocks,
         "sizes": {row["quantity"]: row["value"] for row in count_table(table)},
         "lead": next((one for one in pictures if one.name == "scatter"), None),
-        "others": [text for one in found.values() for text in one.clauses],
     }  # fmt: skip
     frames = {str(name): _tidy(part) for name, part in results.numbers.groupby("table", sort=False)}
     write_folder(
