@@ -23,8 +23,8 @@ import numpy as np
 
 from feel321.analysis import space, words
 from feel321.analysis.association import correlate
+from feel321.analysis.choices import EVERY, compare_with_original
 from feel321.analysis.contrasts.compare import fit_reducers
-from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.model import fit_primary, fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells

@@ -33,9 +33,7 @@ if TYPE_CHECKING:
 FEWEST = 3  # Stimuli that make a shape
 CUBE = 3  # Axes of a stack of matrices
 PLANE = 2  # Dimensions of a map on paper, and the participants that a spread needs
-STARTS = 8
-"""Random starts beside the classical one; SMACOF finds the nearest local minimum, not the deepest."""
-
+STARTS = 8  # Random starts beside the classical one: SMACOF finds the nearest local minimum
 ROUGH, FINE = (300, 1e-6), (1000, 1e-9)  # Steps at most, and the change of stress at which to stop
 
 

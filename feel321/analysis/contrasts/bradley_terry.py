@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.arrays import CONFIDENCE, Values, check_columns, check_draws, read_groups
+from feel321.analysis.arrays import UPPER, Values, check_columns, check_draws, read_groups
 from feel321.analysis.resampling import MOST_UNDEFINED, bootstrap_margin, draw_counts
 from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
@@ -191,7 +191,7 @@ def _bootstrap_errors(
         few = "too many draws have no estimate; ask for more comparisons per rater"
         alike = "all draws gave the same, so that nothing shows how raters differ"
         notes.append(f"No interval: {few if lost > MOST_UNDEFINED * draws else alike}.")
-    return margins / t.ppf((1 + CONFIDENCE) / 2, n_raters - 1), notes
+    return margins / t.ppf(UPPER, n_raters - 1), notes
 
 
 def _build_design(
@@ -239,7 +239,7 @@ def _tabulate(
     from scipy.stats import t
 
     fixed = DataFrame({"estimate": estimates, "se": errors}, index=terms).rename_axis("item")
-    margin = float(t.ppf((1 + CONFIDENCE) / 2, freedom)) * fixed["se"]
+    margin = float(t.ppf(UPPER, freedom)) * fixed["se"]
     fixed["z"] = fixed["estimate"] / fixed["se"]
     fixed["p"] = 2 * t.sf(np.abs(fixed["z"]), freedom)
     fixed["low"], fixed["high"] = fixed["estimate"] - margin, fixed["estimate"] + margin

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321.analysis.arrays import CONFIDENCE, check_columns, read_numbers
+from feel321.analysis.arrays import UPPER, check_columns, read_numbers
 from feel321.analysis.mixed.model import MixedFit, contrast, fit_mixed
 from feel321.analysis.table.items import (
     Table,
@@ -156,7 +156,7 @@ def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
     n = table["size"].to_numpy(np.float64)
     spread = table["std"].where(table["nunique"] > 1).to_numpy(np.float64)
     with np.errstate(invalid="ignore"):
-        margin = t.ppf((1 + CONFIDENCE) / 2, n - 1) * spread / np.sqrt(n)
+        margin = t.ppf(UPPER, n - 1) * spread / np.sqrt(n)
     table = table.rename(columns={"size": "n_participants"})
     table["low"] = (table["mean"] - margin).clip(lower=LOWEST)
     table["high"] = (table["mean"] + margin).clip(upper=HIGHEST)

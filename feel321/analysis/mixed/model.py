@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.arrays import CONFIDENCE
+from feel321.analysis.arrays import UPPER
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
 from feel321.doors import describe
@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 
     from feel321.types import Samples
 
-NEAR, STEPS = 1e-5, 3
-"""A step of a spread after which second derivatives are computed anew, and Newton's steps at most."""
-
+NEAR = 1e-5  # A step of a spread after which second derivatives are computed anew
+STEPS = 3  # Of Newton's method at most
 BOUND = 1 - 1e-6  # A correlation beyond this is one of ±1 but for rounding
 
 
@@ -53,7 +52,7 @@ class Uncertainty:
         slope = np.einsum("i,kij,j->k", weights, self.slopes, weights)
         df = min(float(2 * variance**2 / (slope @ self.parameters @ slope)), self.most_df)
         value, se = float(weights @ self.effects), float(np.sqrt(variance))
-        margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
+        margin = float(student.ppf(UPPER, df)) * se
         p = float(2 * student.sf(abs(value / se), df))
         return Statistic(
             "Estimate", estimate=value, se=se, df=df, t=value / se, p=p, low=value - margin, high=value + margin

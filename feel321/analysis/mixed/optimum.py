@@ -31,22 +31,13 @@ if TYPE_CHECKING:
 
 Codes: TypeAlias = "NDArray[np.intp]"
 
-MOST_LEVELS = 10_000
-"""Effects beside those of the unit: with more, the dense equations alone need gigabytes."""
-
-LARGE = 600
-"""Rows of a dense matrix from which two threads are worth their while; on smaller ones they wait for each other."""
-
-HELD = Lock()
-"""Taken by whoever set the limit of threads, which holds for the whole process; others leave it alone."""
-
+MOST_LEVELS = 10_000  # Effects beside the unit's: with more, the dense equations need gigabytes
+LARGE = 600  # Rows of a dense matrix from which on two threads do not wait for each other
+HELD = Lock()  # Taken by whoever set the limit of threads, which holds for the whole process
 ZERO = 1e-4  # A relative spread below this is none: what lme4 calls singular
 LARGEST = 1e5  # A spread so many times the residual means that there is no residual
 PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
-
-STEP = 1e-4
-"""Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
-
+STEP = 1e-4  # Share of a relative spread, or of 1 if that is more, by which it is moved
 FLAT = 1e-8  # Curvature below this carries no information: a spread at its boundary
 POLISH, ROUNDING = 0.1, 1e-6
 """Longest step, in units of a spread, that Newton's method may take from where the search stopped; what a deviance of
