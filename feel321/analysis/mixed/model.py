@@ -167,13 +167,6 @@ def fit_mixed(
         spread is zero or effects are perfectly tied; ``marginal_r2 conditional_r2``; ``fitted residuals``, (n_rows,),
         with the random effects; ``formula reml n_rows n_levels notes``.
 
-    Raises
-    ------
-    ValueError
-        If the formula cannot be read, a column is missing or has gaps, or the data cannot tell the effects apart.
-    TypeError
-        If the data are no DataFrame.
-
     Notes
     -----
     Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). Do not use it for
@@ -268,11 +261,6 @@ def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Statistic:
     Statistic
         ``estimate se df t p``, the value with its t test against 0 on Satterthwaite's degrees of freedom, and ``low
         high``, the 95 % interval.
-
-    Raises
-    ------
-    ValueError
-        If a term is not in the model, or no weight is other than 0.
 
     Notes
     -----

@@ -60,14 +60,7 @@ class Primaries(Statistic):
     __slots__ = ()
 
     def to_frame(self) -> pd.DataFrame:
-        """Return all slopes, with p adjusted for their number.
-
-        Returns
-        -------
-        DataFrame
-            attribute, metric, the columns of a Primary's slopes, and p_holm: Holm's step-down adjustment over all
-            rows that are estimable, which holds the chance of any false positive among them.
-        """
+        """Return all slopes, with p adjusted for their number: ``p_holm``, over all rows that are estimable."""
         return tabulate_slopes(self)
 
 
