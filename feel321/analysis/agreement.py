@@ -9,6 +9,8 @@ value is another one. The sums below are linear in the number of ratings, but on
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pandas import factorize
+from scipy.stats import f, rankdata
 
 from feel321.analysis.arrays import FLAT, UPPER, Values, read_array
 from feel321.analysis.table.items import Items, Table, as_votes
@@ -62,9 +64,6 @@ def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> 
     >>> [round(analysis.krippendorff_alpha(table, level=level), 3) for level in ("nominal", "ordinal")]
     [0.743, 0.815]
     """
-    from pandas import factorize
-    from scipy.stats import rankdata
-
     check_name(level, LEVELS, "level")
     given = as_votes(table)
     cells = np.asarray(given, dtype=object)
@@ -149,8 +148,6 @@ def intraclass(table: Table | ArrayLike) -> Statistic:
     >>> round(icc.icc_a_1_low, 3), round(icc.icc_a_1_high, 3)
     (0.019, 0.761)
     """
-    from scipy.stats import f
-
     ratings = _read_complete(table)
     n, k = ratings.shape
     of_targets, of_raters = (ratings.mean(axis=axis, keepdims=True) for axis in (1, 0))

@@ -6,14 +6,14 @@ half the time. Conclusions therefore come from the two-way interval, for which p
 both drawn anew; the narrower one is reported beside it, by name, for comparison with the literature.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from pandas import DataFrame
 
 from feel321.analysis import resampling
 from feel321.analysis.agreement import SMALLEST, find_ceiling
@@ -22,13 +22,7 @@ from feel321.analysis.contrasts.compare import stimulus_means
 from feel321.analysis.table.items import Items, Table, choose_arms, make_items
 from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from pandas import DataFrame
-
-    from feel321.types import MetricInfo, Rng
+from feel321.types import MetricInfo, Rng
 
 SIZES = ("n_participants", "n_recordings", "n_sources", "n_missing")  # What a result tells of items
 
@@ -163,16 +157,6 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
     return found.compare(*names)
 
 
-def correlate_items(
-    items: Items, metrics: tuple[str, ...], *methods: str, draws: int, rng: Rng
-) -> list[Correlated]:
-    """Correlate with all metrics of the items, by one method or several, in the same draws."""
-    names = [check_name(method, resampling.METHODS, "method") for method in methods]
-    check_draws(draws)
-    found = resampling.draw_methods(items, names, draws=draws, rng=as_rng(rng))
-    return [Correlated(items, metrics, method, drawn) for method, drawn in found.items()]
-
-
 class Correlated(NamedTuple):
     """Items, the names of their metrics, and the correlations with these in every draw."""
 
@@ -232,6 +216,16 @@ class Correlated(NamedTuple):
         places = [self.metrics.index(name) for name in metrics]
         items = replace(self.items, metrics=self.items.metrics[places])
         return items, resampling.Draws(*(part[places] for part in self.drawn))
+
+
+def correlate_items(
+    items: Items, metrics: tuple[str, ...], *methods: str, draws: int, rng: Rng
+) -> list[Correlated]:
+    """Correlate with all metrics of the items, by one method or several, in the same draws."""
+    names = [check_name(method, resampling.METHODS, "method") for method in methods]
+    check_draws(draws)
+    found = resampling.draw_methods(items, names, draws=draws, rng=as_rng(rng))
+    return [Correlated(items, metrics, method, drawn) for method, drawn in found.items()]
 
 
 def _explain(items: Items, drawn: resampling.Draws, metrics: Sequence[str]) -> Iterator[str]:

@@ -18,8 +18,13 @@ from types import MappingProxyType
 from typing import overload
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
-from pandas import DataFrame
+from pandas import DataFrame, MultiIndex, factorize
+from scipy.optimize import brentq
+from scipy.special import expit, logit
+from scipy.stats import binomtest, norm, t
+from scipy.stats import t as student
 
 from feel321.analysis.arrays import CONFIDENCE, UPPER, Values, check_columns
 from feel321.analysis.primary.model import adjust_holm
@@ -74,8 +79,6 @@ class Votes:
 
 def gather_votes(table: Table, metrics: Sequence[str] = ()) -> Votes:
     """Gather the votes of one scale; with metrics, those that the metrics are asked about."""
-    from pandas import MultiIndex, factorize
-
     if table.stimuli is None:
         raise ValueError("table must be one of read_table, got one without stimuli")
     rows = table.rows[table.rows["scale"].isin(CHOSEN)]
@@ -129,8 +132,6 @@ def predict(votes: Votes) -> Statistic:
     A bootstrap of both counts the noise of choices three times: in 300 simulated studies of a metric without effect it
     found one in 0 to 2 %, this variance in 1 to 5 % (nominal 5 %).
     """
-    import pandas as pd
-
     # 1 predicted, 0 not, 0.5 where the metric of the two is the same.
     hits = (1 + np.sign(votes.differences) * np.where(votes.chose_first, 1.0, -1.0)[:, None]) / 2
     others, majority = agree_with_others(votes)
@@ -178,8 +179,6 @@ def agree_with_others(votes: Votes) -> tuple[Values, Values]:
 
 def infer_share(votes: Votes, scores: Values) -> dict[str, float]:
     """Give the mean of scores, (n_votes,), its interval on the scale of log odds, and p; NaN scores are left out."""
-    from scipy.special import expit, logit
-
     known = np.isfinite(scores)
     share = float(scores[known].mean()) if known.any() else np.nan
     if not 0 < share < 1:
@@ -197,8 +196,6 @@ def infer_share(votes: Votes, scores: Values) -> dict[str, float]:
 
 def _infer(votes: Votes, value: float, influence: Values) -> tuple[float, float]:
     """Give the margin of the 95 % interval, and p of no effect, from the influence of each vote, (n_votes,)."""
-    from scipy.stats import t
-
     cells, parts = votes.participant * votes.count(votes.source) + votes.source, []
     for groups in (votes.participant, votes.source, cells):
         sums = np.bincount(np.unique(groups, return_inverse=True)[1], influence)
@@ -267,8 +264,6 @@ def discriminate(
     >>> round(result.wilson_low, 3), round(result.wilson_high, 3)
     (0.551, 0.88)
     """
-    from scipy.stats import binomtest
-
     if not isinstance(n_correct, int | float | np.number):
         rows = open_ratings(n_correct)
         check_columns(rows, ["scale", "level", "reducer", "role", "rating"], "ratings")
@@ -302,9 +297,6 @@ def discriminate(
 
 def abx_d_prime(share: float, *, model: str = "independent") -> float:
     """Find d' at which an unbiased observer reaches a share correct in ABX trials; 0 for .5 or less, infinity for 1."""
-    from scipy.optimize import brentq
-    from scipy.stats import norm
-
     check_name(model, SPREADS, "model")
     if not 0 <= share <= 1:
         raise ValueError(f"share must be 0 to 1, got {share}")
@@ -349,8 +341,6 @@ def tell_apart(apart: DataFrame, same: DataFrame) -> Statistic:
     identical one (ties count half), mean over participants, with a t interval cut to 0..1; d_prime: √2 Φ⁻¹(area)
     (Macmillan & Creelman 2005, chapter 3), and what the interval translates to; infinite for an area of 1.
     """
-    from scipy.stats import norm
-
     people = sorted(set(apart["participant"]) & set(same["participant"]))
     if len(people) < LEAST:
         must = f"a comparison with identical pairs needs {LEAST} participants who rated both"
@@ -376,8 +366,6 @@ def tell_apart(apart: DataFrame, same: DataFrame) -> Statistic:
 
 def _test(values: Sequence[float]) -> tuple[float, float, float, float]:
     """Average over participants: mean, standard error, their number in a 95 % interval, p of a mean of 0."""
-    from scipy.stats import t as student
-
     n, mean = len(values), float(np.mean(values))
     error = float(np.std(values, ddof=1)) / math.sqrt(n)
     p = float(2 * student.sf(abs(mean) / error, n - 1)) if error else float(mean == 0)

@@ -13,6 +13,8 @@ from typing import get_args
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
+from scipy.optimize import nnls
+from scipy.stats import chi2, norm, rankdata, t
 
 from feel321.analysis.arrays import (
     FLAT,
@@ -71,7 +73,6 @@ def _list_candidates(u: Values, y: Values) -> Iterator[Polynomial]:
     For slopes u² or (1 - u)² and u (1 - u), least squares with two non-negative weights; for k (u - t)², the share of
     variance explained is a ratio of polynomials in t, whose stationary points are the roots of a quintic.
     """
-    from scipy.optimize import nnls
 
     def centre(cubic: Polynomial) -> Polynomial:
         return cubic + float(y.mean() - cubic(u).mean())
@@ -157,8 +158,6 @@ def p1401(
     >>> round(result.plcc, 4), round(result.srocc, 4), round(result.rmse, 3), result.outlier_ratio
     (0.9957, 1.0, 2.966, 0.0)
     """
-    from scipy.stats import chi2, rankdata, t
-
     if is_tidy(votes) and isinstance(metric, str):
         items = make_items(votes, [metric])
         votes, metric = items.ratings.T, items.metrics[0]
@@ -325,8 +324,6 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
     >>> round(result.zou_low, 3), round(result.zou_high, 3)
     (-0.093, 0.517)
     """
-    from scipy.stats import norm, t
-
     r1, r2, r12 = float(r_jk), float(r_jh), float(r_kh)
     # Of the three variables' correlation matrix; negative where no three variables correlate so.
     determinant = 1 - r1**2 - r2**2 - r12**2 + 2 * r1 * r2 * r12
@@ -415,8 +412,6 @@ def repeated_measures_correlation(
     >>> round(result.r, 3), result.df, round(result.p, 4)
     (0.987, 3, 0.0018)
     """
-    from scipy.stats import norm, t
-
     if is_tidy(x) and isinstance(y, str):
         rows, _ = open_tests(x, (y,))
         x, y, participant = rows[y].to_numpy(), rows["rating"].to_numpy(), rows["participant"]

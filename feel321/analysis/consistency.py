@@ -12,6 +12,7 @@ import math
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import t
 
 from feel321.analysis.arrays import Values, check_columns, read_array, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS, weighted_pearson
@@ -132,8 +133,6 @@ def rater_model(
 
 def find_apart(inconsistency: Values) -> tuple[NDArray[np.bool_], list[str]]:
     """Find raters whose inconsistency is unlike the others': Rosner's test of the logarithms, one-sided."""
-    from scipy.stats import t
-
     apart = np.zeros(len(inconsistency), dtype=bool)
     if len(inconsistency) < FEWEST_COMPARED:
         few = f"{FEWEST_COMPARED} raters are needed to estimate how much honest ones differ"

@@ -11,13 +11,13 @@ low spread is meant to be good, but a reducer that matches nothing has nothing t
 reducers were rated, spread and mean rise together, and alone the spread goes with ratings the wrong way.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+
+from pandas import DataFrame, Series
+from scipy.stats import t as student
 
 from feel321.analysis import space, words
 from feel321.analysis.association import correlate
@@ -27,18 +27,13 @@ from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.model import fit_primary, fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells
 from feel321.analysis.primary.sensitivity import FEWEST_REDUCERS, measure_excess
-from feel321.analysis.table.items import recast_pairs, split_tests
+from feel321.analysis.resampling import Choices
+from feel321.analysis.table.items import Table, recast_pairs, split_tests
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
 from feel321.analysis.words import INTERVALS
 from feel321.doors import check_name
 from feel321.names import MEASURES, PaperClaim
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
-
-    from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Table
 
 # Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number.
 AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimable"
@@ -252,10 +247,8 @@ def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
     )  # fmt: skip
 
 
-def _average(values: Series[float]) -> Ends:
+def _average(values: "Series[float]") -> Ends:
     """Average with a t interval."""
-    from scipy.stats import t as student
-
     known = values.dropna()
     mean, n = float(known.mean()), len(known)
     if n < 2:  # noqa: PLR2004 - a spread needs two
@@ -387,8 +380,6 @@ def measure_correlation(table: Table, claim: PaperClaim, choices: Choices) -> Cl
 
 def measure_rating_excess(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
     """Estimate how much higher a reducer is rated than metrics predict from all others; options: reducer, metrics."""
-    from scipy.stats import t as student
-
     reducer = require_option(claim, "reducer")
     metrics = claim.options.get("metrics", table.metrics)
     cells = make_cells(table.rows, [metrics] if isinstance(metrics, str) else list(metrics))

@@ -5,25 +5,18 @@ means of every draw are then one matrix product. Recordings are drawn likewise, 
 because stimuli of one recording resemble each other.
 """
 
-from __future__ import annotations
-
 import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from feel321.analysis.arrays import FLAT, PERFECT, UPPER, Values, check_draws
+from feel321.analysis.table.items import Items
 from feel321.analysis.words import name_path
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from feel321.analysis.table.items import Items
-
 
 BLOCK = 4_000_000  # Numbers that an array of draws may hold: 32 MB
 STILL = 1e-12  # Spread of draws up to which they are all the same but for rounding error
@@ -165,7 +158,7 @@ class Averages(NamedTuple):
     rated: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, items: Items, participants: Values) -> Averages:
+    def of(cls, items: Items, participants: Values) -> "Averages":
         """Average each item's ratings over the participants drawn, (draws, n_participants)."""
         seen = np.isfinite(items.ratings)
         votes = participants @ seen.astype(np.float64)

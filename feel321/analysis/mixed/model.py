@@ -1,25 +1,20 @@
 """Linear mixed models: `fit_mixed`, and `contrast` for sums and differences of its effects."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
+from pandas import DataFrame
+from scipy.stats import t as student
 
 from feel321.analysis.arrays import UPPER
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
 from feel321.doors import describe
 from feel321.records import Statistic
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from pandas import DataFrame
-
-    from feel321.types import Samples
+from feel321.types import Samples
 
 NEAR = 1e-5  # A step of a spread after which second derivatives are computed anew
 STEPS = 3  # Of Newton's method at most
@@ -46,8 +41,6 @@ class Uncertainty:
         With v = w' C w and g its derivatives with respect to the spreads, whose covariance is A, the degrees of
         freedom are 2 v² / g' A g (Satterthwaite 1946, doi 10.2307/3002019; lmerTest, doi 10.18637/jss.v082.i13).
         """
-        from scipy.stats import t as student
-
         variance = float(weights @ self.covariance @ weights)
         slope = np.einsum("i,kij,j->k", weights, self.slopes, weights)
         df = min(float(2 * variance**2 / (slope @ self.parameters @ slope)), self.most_df)
@@ -210,8 +203,6 @@ def fit_mixed(
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:
     """Compute everything about a fit that is for people."""
-    import pandas as pd
-
     profile, best, design = solved.profile, solved.best, solved.profile.design
     residual_sd, notes = profile.find_sigma(best), solved.note_zeros()
     spreads, ties = [], []

@@ -23,6 +23,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 from pandas import DataFrame
+from scipy.optimize import brentq
+from scipy.stats import nct, norm, t
 
 from feel321.analysis.primary.model import FEWEST, FEWEST_DF
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, find_most_df
@@ -274,8 +276,6 @@ class ClosedForm:
 
     def find_power(self, value: float, *, participants: int | None = None) -> float:
         """Compute the power to find a slope of some size, averaged over sets; NaN where no set has a test."""
-        from scipy.stats import nct, norm, t
-
         errors = self.errors if participants is None else self._find_errors(participants)
         if not len(errors):
             return math.nan
@@ -292,9 +292,6 @@ class ClosedForm:
         ``se`` (root mean square over sets), ``df`` (mean), ``width`` of the 95 % interval, ``power``, ``ceiling`` (with
         participants without end) and ``detectable``, the smallest slope that is found with the wanted power.
         """
-        from scipy.optimize import brentq
-        from scipy.stats import t
-
         se = df = detectable = math.nan
         if len(self.errors):
             se, df = math.sqrt((self.errors[:, 0] ** 2).mean()), float(self.errors[:, 1].mean())

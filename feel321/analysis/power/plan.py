@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 from feel321 import jobs
 from feel321.analysis.mixed.optimum import hold_threads
@@ -370,8 +371,6 @@ def tabulate_shares(p: Samples) -> pd.DataFrame:
     ``simulated`` with its 95 % Wilson interval ``simulated_low simulated_high``, NaN without studies; ``tests``: the
     studies that gave a test.
     """
-    from scipy.stats import binomtest
-
     adjusted = np.array([adjust_holm(row) for row in p.tolist()]).reshape(p.shape)
     rows = []
     for column in adjusted.T:

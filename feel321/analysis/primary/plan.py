@@ -9,15 +9,16 @@ recordings, anything that differs with the scene goes along. Means are over the 
 each counted once however often it was rated, so that nothing left out comes back through them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pandas import DataFrame
 
 from feel321.analysis.arrays import check_columns
 from feel321.analysis.table.items import (
@@ -31,12 +32,7 @@ from feel321.analysis.table.items import (
     refuse_pooled,
     refuse_unnamed,
 )
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from pandas import DataFrame
-
-    from feel321.types import Samples
+from feel321.types import Samples
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
 SOURCE, REDUCER = "source", "reducer"
@@ -71,11 +67,11 @@ class Cells:
     rough: bool = False
     notes: tuple[str, ...] = ()
 
-    def ignore_level(self) -> Cells:
+    def ignore_level(self) -> "Cells":
         """Return the same cells as if no level were known."""
         return replace(self, table=self.table.drop(columns=LEVEL, errors="ignore"))
 
-    def leave_out(self, column: str, *names: object) -> Cells:
+    def leave_out(self, column: str, *names: object) -> "Cells":
         """Leave out participants, or stimuli by a column, and split the metrics anew over what is left."""
         units = self.ratings if column == WHO else self.items
         gone = units[column].isin(names)
@@ -214,8 +210,6 @@ def arrange_cells(
 
 def take_out(groups: DataFrame, values: Samples) -> Samples:
     """Take out of values what their groups give: what a regression on indicators of the groups leaves."""
-    import pandas as pd
-
     dummies = pd.get_dummies(groups.astype(str)).to_numpy(np.float64)
     left: Samples = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
     return left

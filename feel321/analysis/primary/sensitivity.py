@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.primary.model import IN_MODEL, Primary, Slopes, adjust_holm, fit_slopes
@@ -294,8 +295,6 @@ def _conclude(slopes: pd.DataFrame, others: Sequence[float]) -> pd.DataFrame:
 
 def _find_exceptions(cells: Cells, slopes: Mapping[Hashable, Slopes]) -> pd.DataFrame:
     """Find reducers that are rated otherwise than the slopes of all others predict."""
-    from scipy.stats import t as student
-
     columns = ["excess", "t", "df", "p", "exceptional"]
     if len(slopes) < FEWEST_REDUCERS:
         return pd.DataFrame(columns=columns, index=pd.Index([], name=REDUCER))
