@@ -23,7 +23,7 @@ from feel321.stimuli.sets.recipe import Recipe, find_conditioning
 from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
-from feel321.study.checkpoints import declaring
+from feel321.study.evidence.checkpoints import declaring
 from feel321.study.folder import Problems, StudyFolder
 from feel321.study.minutes import measure_design
 from feel321.study.session.journal import Clock, utc_now

@@ -12,10 +12,11 @@ from typing import Any
 
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import withdrawal
 from feel321.study.folder import StudyFolder, list_delivered, require_study
-from feel321.study.participants import roster, withdrawal
+from feel321.study.participants import roster
 from feel321.study.participants.answers import PERSONAL_FILE, read_personal
-from feel321.study.participants.numbers import find_doubles, hold_numbers, read_holder, read_holders
+from feel321.study.participants.roster import find_doubles, hold_numbers, read_holder, read_holders
 from feel321.study.session import journal as journals
 from feel321.study.session.journal import Clock, digest
 from feel321.study.session.opening import find_differences

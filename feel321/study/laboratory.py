@@ -43,7 +43,7 @@ class Laboratory(OpenStudy):
         show : bool
             Only show what is frozen and what changed.
         """
-        from feel321.study import freeze
+        from feel321.study.evidence import freeze
         from feel321.study.session.opening import FROZEN_FILE
         from feel321.study.terminal import format_facts
 
@@ -174,14 +174,14 @@ class Laboratory(OpenStudy):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.freeze import describe_frozen
+        from feel321.study.evidence.freeze import describe_frozen
         from feel321.study.status import read_status, watch_study
 
         folder = self.choose(rehearsals)
         if watch is not None:
             if notes:
                 raise UsageError("--watch does not go with --notes; leave one out")
-            from feel321.study.participants.withdrawal import recording_output
+            from feel321.study.participants.traces import recording_output
 
             page = as_path(watch)
             with recording_output(folder, "status", page, now=self.now):
@@ -210,7 +210,7 @@ class Laboratory(OpenStudy):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.participants.withdrawal import take_note
+        from feel321.study.withdrawal import take_note
 
         notice = take_note(self.choose(rehearsals), participant, text, now=self.now)
         if notice:
@@ -271,8 +271,8 @@ class Laboratory(OpenStudy):
         is_sure : bool
             Do not ask.
         """
-        from feel321.study.participants.withdrawal import release_participant, withdraw_participant
         from feel321.study.terminal import ask, is_answerable
+        from feel321.study.withdrawal import release_participant, withdraw_participant
 
         folder, facts = self.folder, {"participant": participant}
         if keep_data:

@@ -42,7 +42,7 @@ from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study import ratings
 from feel321.study.folder import StudyFolder, UsageError
-from feel321.study.observer.model import make_model
+from feel321.study.observer import make_model
 from feel321.study.session import plan as plans
 from feel321.study.session.plan import list_by_code
 from feel321.study.settings import read, schema

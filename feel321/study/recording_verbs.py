@@ -311,7 +311,7 @@ def tradeoff(  # noqa: PLR0913 - one per option
     from feel321.analysis.tradeoff.page import advise_tradeoff
     from feel321.stimuli.reducers.registry import REDUCERS
     from feel321.study.analyze import find_ratings, gather_recordings
-    from feel321.study.participants.withdrawal import recording_output
+    from feel321.study.participants.traces import recording_output
     from feel321.study.session.journal import utc_now
     from feel321.study.settings.read import list_for_tradeoff, read_settings
 

@@ -26,13 +26,12 @@ from feel321.study.actuator.rig import (
     read_rig,
     take_device,
 )
-from feel321.study.checkpoints import note_checkpoint
+from feel321.study.evidence.checkpoints import note_checkpoint
 from feel321.study.folder import DELIVERED
 from feel321.study.keys import USUAL, label_key
 from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
-from feel321.study.observer.model import Casting, find_person, make_model
-from feel321.study.observer.simulated import Participant
+from feel321.study.observer import Casting, Participant, find_person, make_model
 from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place

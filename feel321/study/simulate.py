@@ -9,10 +9,16 @@ from threading import Event, Lock
 from typing import NamedTuple
 
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
-from feel321.study.checkpoints import note_checkpoint
+from feel321.study.evidence.checkpoints import note_checkpoint
 from feel321.study.folder import StudyFolder
-from feel321.study.observer.model import Casting, Touch, expect_rating, find_person, make_model
-from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.observer import (
+    Casting,
+    SimulatedObserver,
+    Touch,
+    expect_rating,
+    find_person,
+    make_model,
+)
 from feel321.study.participants.answers import write_answers
 from feel321.study.participants.roster import write_roster
 from feel321.study.ratings import write_matches, write_ratings

@@ -118,7 +118,7 @@ class Study(Laboratory):
             What the method is; found out if left out.
         """
         from feel321.study.check import check_own_method, check_study
-        from feel321.study.freeze import describe_frozen, find_faults
+        from feel321.study.evidence.freeze import describe_frozen, find_faults
 
         if method is not None:
             return check_own_method(method, self.folder.path, kind)
@@ -207,7 +207,7 @@ class Study(Laboratory):
         from feel321.analysis.report.folder import check_target
         from feel321.study import power
         from feel321.study.analyze import measure_declared
-        from feel321.study.participants.withdrawal import recording_output
+        from feel321.study.participants.traces import recording_output
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
@@ -312,8 +312,8 @@ class Study(Laboratory):
             Bootstrap draws per interval; as study.toml declares by default.
         """
         from feel321.study.analyze import analyze_study
-        from feel321.study.export.dataset import write_methods
-        from feel321.study.participants.withdrawal import recording_output
+        from feel321.study.export import write_methods
+        from feel321.study.participants.traces import recording_output
 
         if manifest is not None and ratings is None:
             raise UsageError("--manifest needs --ratings; give both, or --ratings alone in a study")
@@ -360,7 +360,7 @@ class Study(Laboratory):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.auditing.study import examine
+        from feel321.study.evidence.audit import examine
 
         urls = as_names(remotes, "remotes")
         with follow(self.progress, "audit") as step:
@@ -384,7 +384,7 @@ class Study(Laboratory):
         to : str
             Git remote to push to from now on: a folder outside the study, or a URL.
         """
-        from feel321.study.checkpoints import take_checkpoint
+        from feel321.study.evidence.checkpoints import take_checkpoint
 
         return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
 
@@ -409,7 +409,7 @@ class Study(Laboratory):
         for_r : bool
             Write CSV files for R and JASP instead.
         """
-        from feel321.study.participants.withdrawal import recording_output
+        from feel321.study.participants.traces import recording_output
 
         if for_r and simulated:
             raise UsageError("--simulated is for BIDS; leave it out with --r")
@@ -424,7 +424,7 @@ class Study(Laboratory):
                     notices.append(f"{said}; see the column simulated")
                 export_r(table, path, rng=self.settings.study.seed)
             else:
-                from feel321.study.export.dataset import export_bids
+                from feel321.study.export import export_bids
 
                 step = f"check it with: bids-validator-deno {path}"
                 notices += export_bids(self.folder, path, simulated=simulated)
@@ -529,7 +529,7 @@ def demo(*, out: options.Target = Path("demo-study")) -> None:
     out : str or path
         Folder of the study.
     """
-    from feel321.study.observer.model import NUMBERED
+    from feel321.study.observer import NUMBERED
 
     folder = StudyFolder(as_path(out))
     if not folder.path.exists() or not any(folder.path.iterdir()):

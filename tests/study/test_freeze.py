@@ -15,8 +15,7 @@ from feel321.analysis.words import CONFIRMATORY, EXPLORATORY
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import analyze_study
 from feel321.study.cli import main
-from feel321.study.folder import StudyFolder
-from feel321.study.freeze import (
+from feel321.study.evidence.freeze import (
     describe_frozen,
     find_changes,
     find_faults,
@@ -25,6 +24,7 @@ from feel321.study.freeze import (
     make_standing,
     read_frozen,
 )
+from feel321.study.folder import StudyFolder
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from feel321.analysis.report.write import SECTIONS
-from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.status import read_status
+from tests.study.conftest import audit_study
 
 FEEL321 = Path(sys.executable).with_name("feel321")
 HEAVY = {

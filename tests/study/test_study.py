@@ -146,7 +146,7 @@ def test_draws_are_as_declared_unless_asked_for_and_the_seed_is_the_studys(
 ) -> None:
     chosen: list[dict[str, object]] = []
     monkeypatch.setattr("feel321.study.analyze.write_report", lambda *_, **how: chosen.append(how))
-    monkeypatch.setattr("feel321.study.export.dataset.write_methods", lambda *_: None)
+    monkeypatch.setattr("feel321.study.export.write_methods", lambda *_: None)
     pilot.analyze()
     pilot.analyze(draws=7)
     assert [(how["draws"], how["rng"]) for how in chosen] == [(2000, 5), (7, 5)]

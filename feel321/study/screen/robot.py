@@ -10,7 +10,7 @@ from math import copysign
 from feel321.protocols.texts import Question
 from feel321.protocols.trial import MATCHING, Part, Trial
 from feel321.study.keys import PLAY, USUAL, KeysTable
-from feel321.study.observer.simulated import Participant
+from feel321.study.observer import Participant
 from feel321.study.screen.input import BACKSPACE, ENTER, LISTS, MOVES, Hand, InputEvent, View
 from feel321.study.session.ports import Felt
 

@@ -23,7 +23,7 @@ from feel321.study.actuator.rig import read_rig
 from feel321.study.all_settings import FILES, list_settings, read_meanings, write_list
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study, read_template
-from feel321.study.observer.model import ObserverModel
+from feel321.study.observer import ObserverModel
 from feel321.study.session.plan import Design, Stale
 from feel321.study.session.ports import Surface
 from feel321.study.settings.read import (

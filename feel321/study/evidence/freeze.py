@@ -22,8 +22,7 @@ from feel321 import intake
 from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_versions
 from feel321.doors import name_of
 from feel321.records import to_json_value
-from feel321.study.participants.numbers import read_holder
-from feel321.study.participants.roster import read_sealed, write_sealed
+from feel321.study.participants.roster import read_holder, read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.journal import digest, list_journals
 from feel321.study.session.opening import FROZEN_FILE, flatten

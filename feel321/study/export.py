@@ -30,12 +30,11 @@ from feel321.records import to_json_value
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.study.actuator.certificate import list_certificates, read_certificate
-from feel321.study.checkpoints import find_newest
+from feel321.study.evidence.checkpoints import find_newest
+from feel321.study.evidence.freeze import list_info, read_frozen
 from feel321.study.folder import RATING_COLUMNS, StudyFolder
-from feel321.study.freeze import list_info, read_frozen
 from feel321.study.own_protocols import OURS
-from feel321.study.participants.numbers import WITHDRAWN, read_holders
-from feel321.study.participants.roster import list_progress, write_roster
+from feel321.study.participants.roster import WITHDRAWN, list_progress, read_holders, write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, TrialRated
 from feel321.study.settings.read import read_settings, read_study_texts
@@ -358,4 +357,6 @@ def render(name: str, **values: object) -> str:
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     pages.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
-    return pages.from_string(intake.read_text(Path(__file__).with_name(name))).render(**values)
+    return pages.from_string(intake.read_text(Path(__file__).parent / "templates" / name)).render(
+        **values
+    )
