@@ -240,7 +240,7 @@ def open_lab(plan: Plan, journal: Journal, *, room: Room) -> Iterator[Presenter]
         window = stack.enter_context(screen)
         hand = None
         if (casting := room.casting) is not None:
-            from feel321.study.screen.robot import PressingHand
+            from feel321.study.screen.input import PressingHand
 
             person = find_person(plan.participant)
             mind = Participant(casting.model, seed=casting.seed, number=person)

@@ -9,23 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Self
 
-from feel321 import intake
 from feel321.doors import as_names, as_path, follow
 from feel321.jobs import as_workers
-from feel321.study.folder import (
-    Outcome,
-    Problems,
-    StudyFolder,
-    UsageError,
-    create_study,
-    read_template,
-    require_study,
-)
-from feel321.study.terminal import echo, wants_bar, warn
+from feel321.study.folder import Outcome, Problems, UsageError, create_study, require_study
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -114,7 +114,7 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     from feel321.study.settings.read import CONSENT, list_methods, make_recipe, read_study_texts
 
     stimuli = read_stimuli(study.stimuli)
-    found = dict(flatten(settings.model_dump(mode="json", exclude=UNCOUNTED)))
+    found = dict(flatten(settings.model_dump(mode="json", by_alias=True, exclude=UNCOUNTED)))
     for name in ("stimuli.reducers", "stimuli.metrics"):
         found[name] = [name_of(one) for one in found[name]]
     found["stimuli.reference"] = name_of(found["stimuli.reference"])

@@ -4,7 +4,7 @@ import json
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import asdict
+from dataclasses import asdict, fields, replace
 from difflib import get_close_matches
 from inspect import signature
 from itertools import product
@@ -26,7 +26,14 @@ from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import render
 from feel321.stimuli.sets.manifest import read_details
-from feel321.stimuli.sets.recipe import NO_REFERENCE, ORIGINAL, Recipe, check_names, describe_recipe
+from feel321.stimuli.sets.recipe import (
+    NO_REFERENCE,
+    ORIGINAL,
+    Recipe,
+    StimulusSettings,
+    check_names,
+    describe_recipe,
+)
 from feel321.study import own_protocols
 from feel321.study.folder import SETTINGS_FILE, TEMPLATES, StudyFolder
 from feel321.study.session.journal import digest
@@ -73,11 +80,12 @@ def read_settings(path: Path, folder: Path | None = None) -> Settings:
     own: dict[str, dict[str, Any]] = {
         "study": {"name": settings.study.name or home.resolve().name},
         "session": {"protocols": names},
-        "stimuli": {"metrics": (*measured, *new)},
         "analysis": {"metrics": tuple(dict.fromkeys(map(name_of, wanted)))},
     }
     tables = {name: getattr(settings, name).model_copy(update=one) for name, one in own.items()}
-    settings = settings.model_copy(update={**tables, "recordings": tuple(entries)})
+    stimuli = replace(settings.stimuli, metrics=(*measured, *new))
+    tables |= {"stimuli": stimuli, "recordings": tuple(entries)}
+    settings = settings.model_copy(update=tables)
     if mistakes := find_conflicts(settings):
         raise ValueError("\n".join(f"{path.name}: {mistake}" for mistake in mistakes))
     return settings
@@ -231,7 +239,7 @@ def list_for_tradeoff(
 def make_recipe(settings: Settings, folder: Path | None = None) -> Recipe:
     """Make the recipe of the stimuli: each setting of `[stimuli]` and `[rig]` is a field of it by name."""
     stimuli = settings.stimuli
-    given = {name: value for name, value in stimuli if name != "below_threshold"}
+    given = {one.name: getattr(stimuli, one.name) for one in fields(StimulusSettings)}
     own = {
         "reducers": [
             find_own(settings, "reducer", name, folder=folder) for name in stimuli.reducers
@@ -265,16 +273,8 @@ def read_study_texts(settings: Settings, folder: Path) -> dict[str, Any]:
 def make_design(settings: Settings) -> Design:
     """Make the design of the sessions."""
     session = settings.session
-    rehearsal, breaks, matching = session.rehearsal, session.breaks, session.matching
-    flow = Flow(
-        training_pass=rehearsal.pass_share,
-        training_rounds=rehearsal.rounds,
-        break_trials=breaks.every_trials,
-        break_min=breaks.every_min,
-        break_s=breaks.break_s,
-        rest_s=breaks.rest_s,
-        **session.quality.model_dump(),
-    )
+    matching, rules = session.matching, (session.breaks, session.rehearsal, session.quality)
+    told = {name: value for table in rules for name, value in asdict(table).items()}
     # The last of the set's levels is matched where none is named.
     level = (matching and matching.level) or settings.stimuli.levels[-1]
     return Design(
@@ -285,7 +285,7 @@ def make_design(settings: Settings) -> Design:
         recordings_per_participant=session.recordings_per_participant,
         tasks=settings.list_tasks(),
         between=dict(settings.between),
-        flow=flow,
+        flow=Flow(**{one.name: told[one.name] for one in fields(Flow)}),
         threshold=session.threshold.make_block() if session.threshold else None,
         matching=MatchingBlock(level, matching.repeats) if matching else None,
         questions=session.questions,

@@ -6,6 +6,7 @@ Names of reducers, scenes, protocols, levels, units and languages are those of t
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path, PurePath
 from typing import Annotated, Any, Self
 
@@ -23,29 +24,35 @@ from feel321.protocols.threshold import (
     ThresholdPlan,
     name_tone,
 )
-from feel321.protocols.trial import CHOOSING, FLAGS, Flow, Task
-from feel321.stimuli.condition import Conditioning
+from feel321.protocols.trial import CHOOSING, Breaks, Quality, Rounds, Task
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
+from feel321.stimuli.sets.recipe import (
+    GAINS,
+    LEVELS,
+    NO_REFERENCE,
+    ONE_GAIN,
+    ORIGINAL,
+    RigSettings,
+    StimulusSettings,
+    check_names,
+)
 from feel321.stimuli.synthesis import SCENES
-from feel321.stimuli.thresholds import THRESHOLDS
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.own_protocols import OURS, name_protocols
 from feel321.study.session.plan import Stale
 from feel321.study.settings import fields as kinds
 from feel321.study.settings.about import ObserverTable, PaperTable, PublicationTable
 
-_FLOW, _RECIPE, _BLOCK = Flow(), Recipe(), ThresholdBlock("bayesian", (), USUAL)
-"""What the floors below do where nothing is asked for: their defaults are the study's."""
+_BLOCK = ThresholdBlock("bayesian", (), USUAL)  # whose defaults are the study's
 
 LANGUAGE_FILE = ".toml"  # how the name of a lab's own file of texts ends
 
 Level = Annotated[float, Field(ge=-120, le=60)]
 LevelName = Annotated[str, kinds.one_of(LEVELS)]
 UpTo100 = Annotated[kinds.Count, Field(le=100)]
-UpToAnHour = Annotated[kinds.NotNegative, Field(le=3600)]
 Label = Annotated[str, AfterValidator(texts.check_label)]
 
 
@@ -154,32 +161,28 @@ def _check_gain(gain: float | str) -> float | str:
     return gain
 
 
-class StimuliTable(kinds.TomlTable):
+@dataclass(frozen=True)
+class StimuliTable(StimulusSettings):
     """`[stimuli]`: what is made of each recording."""
 
     reducers: Annotated[tuple[OwnReducer, ...], kinds.Some] = DEFAULT_REDUCERS
-    levels: Annotated[tuple[LevelName, ...], kinds.Some] = tuple(_RECIPE.levels)
-    anchors: bool = _RECIPE.anchors
-    reference: Annotated[str, Reference] = _RECIPE.reference
-    gain: Annotated[float | str, AfterValidator(_check_gain)] = _RECIPE.gain
-    fade_s: kinds.Seconds = _RECIPE.fade_s
-    threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
-    below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
+    levels: Annotated[tuple[LevelName, ...], kinds.Some] = (LEVELS[0],)
+    reference: Annotated[str, Reference] = ORIGINAL
+    gain: Annotated[float | str, AfterValidator(_check_gain)] = ONE_GAIN
+    threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = CONTACTOR
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Distinct] = ()
-    conditioning: Conditioning = Conditioning()
+    below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
 
 
-class RigTable(kinds.TomlTable):
+@dataclass(frozen=True)
+class RigTable(RigSettings):
     """`[rig]`: what the stimuli are rendered for."""
 
-    rate_hz: kinds.Rate = _RECIPE.rate_hz
-    full_scale_m_s2: Annotated[kinds.Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
-    headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
     certificate: Annotated[str, kinds.one_of(("warn", "require"))] = "warn"
 
     def of_stimuli(self) -> dict[str, Any]:
         """Return what decides what the stimuli are."""
-        return self.model_dump(exclude={"certificate"})
+        return {one.name: getattr(self, one.name) for one in fields(RigSettings)}
 
 
 class MethodTable(kinds.TomlTable):
@@ -219,35 +222,12 @@ class MetricTable(MethodTable):
         return self
 
 
-class RehearsalTable(kinds.TomlTable):
+@dataclass(frozen=True)
+class Rehearsal(Rounds):
     """`[session.rehearsal]`: what comes before the trials that count."""
 
     training: UpTo100 = 4
     practice: UpTo100 = 2
-    pass_share: kinds.Share = _FLOW.training_pass
-    rounds: Annotated[int, Field(ge=1, le=100)] = _FLOW.training_rounds
-
-
-class BreaksTable(kinds.TomlTable):
-    """`[session.breaks]`: when the hand rests."""
-
-    every_trials: kinds.AtLeastOne | None = _FLOW.break_trials
-    every_min: Annotated[kinds.Positive, Field(le=1440)] | None = _FLOW.break_min
-    break_s: UpToAnHour = _FLOW.break_s
-    rest_s: UpToAnHour = _FLOW.rest_s
-
-
-class QualityTable(kinds.TomlTable):
-    """`[session.quality]`: which trials are repeated."""
-
-    min_response_s: Annotated[kinds.NotNegative, Field(le=5)] = _FLOW.min_response_s
-    max_attempts: Annotated[int, Field(ge=1, le=100)] = _FLOW.max_attempts
-    reject: Annotated[tuple[Annotated[str, kinds.one_of(FLAGS)], ...], kinds.Distinct] = (
-        _FLOW.reject
-    )
-    gap_s: Annotated[kinds.NotNegative, Field(le=30)] = _FLOW.gap_s
-    level_error_db: kinds.Positive | None = _FLOW.level_error_db
-    min_coherence: kinds.Share = _FLOW.min_coherence
 
 
 class ThresholdTable(kinds.TomlTable):
@@ -316,9 +296,9 @@ class SessionTable(kinds.TomlTable):
     language: Annotated[str, AfterValidator(_check_language)] = "en"
     consent: kinds.Words | None = None
     lsl: bool = False
-    rehearsal: RehearsalTable = RehearsalTable()
-    breaks: BreaksTable = BreaksTable()
-    quality: QualityTable = QualityTable()
+    rehearsal: Rehearsal = Rehearsal()
+    breaks: Breaks = Breaks()
+    quality: Quality = Quality()
     stale: Stale = Stale()
     threshold: ThresholdTable | None = None
     matching: MatchingTable | None = None
@@ -451,6 +431,7 @@ class Settings(kinds.TomlTable):
 
     def list_tasks(self) -> tuple[Task, ...]:
         """List the tasks of a session."""
-        rounds = self.session.rehearsal.model_dump(include={"training", "practice"})
+        counts = self.session.rehearsal
+        rounds = {"training": counts.training, "practice": counts.practice}
         tables = {name: self.tasks.get(name, TaskTable()) for name in self.session.protocols}
         return tuple(table.make_task(name, **rounds) for name, table in tables.items())
