@@ -37,8 +37,14 @@ from feel321.study.participants.answers import ANSWERS_FILE, write_answers
 from feel321.study.participants.roster import list_progress, list_remarks, write_roster
 from feel321.study.participants.traces import closing_results
 from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
-from feel321.study.settings.read import find_changes, make_recipe, read_settings
-from feel321.study.settings.recordings import list_origins, open_recordings, try_recordings
+from feel321.study.settings.read import (
+    find_changes,
+    list_origins,
+    make_recipe,
+    open_recordings,
+    read_settings,
+    try_recordings,
+)
 from feel321.study.settings.schema import AnalysisTable, Settings
 
 if TYPE_CHECKING:

@@ -62,9 +62,8 @@ from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_thres
 from feel321.study.minutes import STROKE_S, UNHURRIED
 from feel321.study.session import ports
 from feel321.study.session.ports import Act, Confirm, Feel, Felt, Place, Playback, Scaled, Tone
-from feel321.study.settings.about import ObserverTable
 from feel321.study.settings.fields import one_of
-from feel321.study.settings.schema import Settings
+from feel321.study.settings.schema import ObserverTable, Settings
 
 LOW, HIGH = RATING_RANGE
 

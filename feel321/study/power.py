@@ -46,7 +46,7 @@ from feel321.study.observer import make_model
 from feel321.study.session import plan as plans
 from feel321.study.session.plan import list_by_code
 from feel321.study.settings import read, schema
-from feel321.study.settings.recordings import list_origins
+from feel321.study.settings.read import list_origins
 from feel321.study.settings.schema import Settings
 
 Numbers = int | Sequence[int]

@@ -37,7 +37,7 @@ from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place
 from feel321.study.sessions import Room, lead_session, list_rig_problems, plan_sessions
 from feel321.study.settings import read
-from feel321.study.settings.recordings import list_surfaces, try_recordings
+from feel321.study.settings.read import list_surfaces, try_recordings
 from feel321.study.strength import find_unfelt
 from feel321.study.terminal import CALL, echo, is_terminal
 

@@ -1,7 +1,9 @@
+# pylint: disable=too-many-lines  # one verb a method: more than half is the help of the command line
 """A study from Python or a notebook: what it holds, and every verb of the command line that works on one.
 
 A study is opened once and passed on: its folder reads each plan and journal once. `feel321.study.cli` makes the verbs
-of these methods: their options from the signatures, their help from the docstrings.
+of these methods: their options from the signatures, their help from the docstrings. What takes more than a few lines to
+do is in the module that does it.
 """
 
 from __future__ import annotations
@@ -11,9 +13,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
-from feel321.doors import as_names, as_path, follow
+from feel321.doors import as_names, as_path, as_seed, follow
 from feel321.jobs import as_workers
-from feel321.study.folder import Outcome, Problems, UsageError, create_study, require_study
+from feel321.study.folder import (
+    OpenStudy,
+    Outcome,
+    Problems,
+    UsageError,
+    create_study,
+    require_study,
+)
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -25,6 +34,9 @@ if TYPE_CHECKING:
     from feel321.study import options
     from feel321.study.folder import Audit, Seal
     from feel321.study.power import StudyPower
+    from feel321.study.session.ports import Place
+    from feel321.study.settings.schema import Settings
+    from feel321.study.status import Status
     from feel321.types import PathLike, Progress
 
 
@@ -282,28 +294,9 @@ class Study(OpenStudy):
         show : bool
             Only show what is frozen and what changed.
         """
-        from feel321.study.evidence import freeze
-        from feel321.study.session.opening import FROZEN_FILE
-        from feel321.study.terminal import format_facts
+        from feel321.study.evidence.freeze import report_frozen
 
-        folder = self.folder
-        if show:
-            frozen = freeze.read_frozen(folder)
-            changes = freeze.list_changes(folder, self.settings, frozen) if frozen else {}
-        else:
-            frozen, changes = freeze.freeze_study(folder, now=self.now)
-        faults = freeze.find_faults(folder)
-        for fault in faults:
-            self.say(fault)
-        lines = [f"{folder.path}: nothing is frozen; before the first session: feel321 freeze"]
-        if frozen is not None:
-            lines = [f"{folder.path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
-        if frozen is not None and show:
-            lines += format_facts({"hypotheses": frozen.hypotheses, "settings": frozen.settings})
-        if changes:
-            lines += ["changed:", *(f"  {one}" for one in changes.values())]
-        facts = {"frozen": frozen and asdict(frozen), "changes": [*changes.values()]}
-        return Outcome({**facts, "faults": faults}, lines)
+        return report_frozen(self, show=show)
 
     def run(  # noqa: PLR0913 - one parameter per option
         self,
@@ -363,7 +356,7 @@ class Study(OpenStudy):
             log.end(outcome)
         return outcome
 
-    def simulate(self, participants: options.People = 16, rng: options.Seed = None) -> DataFrame:
+    def simulate(self, participants: options.People = 16, rng: options.Seed = None) -> Outcome:
         """Run sessions with simulated participants, or resume them.
 
         Example: feel321 simulate my-study --participants 16 --seed 1
@@ -375,26 +368,11 @@ class Study(OpenStudy):
         rng : int or Generator, optional
             Random seed; the study's by default.
         """
-        import pandas as pd
-
-        self.lead_simulated(participants, rng)
-        return pd.read_csv(self.folder.ratings)
-
-    def lead_simulated(
-        self, participants: options.People = 16, rng: options.Seed = None
-    ) -> tuple[int, int]:
-        """Do as `simulate`, without pandas, which takes a second to import; count participants and ratings."""
-        from feel321.study.simulate import simulate_study
+        from feel321.study.simulate import report_simulated
 
         if participants < 1:
             raise ValueError(f"participants must be 1 or more, got {participants}")
-        seed = None if rng is None else as_seed(rng)
-        with follow(self.progress, "simulate") as step:
-            rows = simulate_study(
-                self.folder, participants=participants, seed=seed, now=self.now, progress=step,
-                warn=self.say,
-            )  # fmt: skip
-        return participants, rows
+        return report_simulated(self, participants, None if rng is None else as_seed(rng))
 
     def status(
         self, *, notes: bool = False, watch: options.Page | None = None, rehearsals: bool = False
@@ -420,11 +398,7 @@ class Study(OpenStudy):
         if watch is not None:
             if notes:
                 raise UsageError("--watch does not go with --notes; leave one out")
-            from feel321.study.participants.traces import recording_output
-
-            page = as_path(watch)
-            with recording_output(folder, "status", page, now=self.now):
-                watch_study(folder, page, now=self.now)
+            watch_study(folder, as_path(watch), now=self.now)
         with follow(self.progress, "status") as step:
             found = read_status(folder, progress=step)
         frozen = "" if rehearsals else describe_frozen(folder)
@@ -476,11 +450,7 @@ class Study(OpenStudy):
         paths = [as_path(one) for one in sources]
         with follow(self.progress, "collect") as step:
             found = collect_sessions(self.folder, paths, now=self.now, progress=step)
-        size, who = f"{found.size / 1e6:.1f} MB", ", ".join(found.participants)
-        copied = f"{found.files} files ({size}) of {who}" if found.files else "nothing to copy"
-        refused = [f"refused: {line}" for line in found.refused]
-        lines = [f"{self.folder.path}: {copied}", *refused, *found.notes]
-        return Outcome(asdict(found), lines, failed=bool(refused))
+        return found.report(self.folder)
 
     def withdraw(
         self,
@@ -510,30 +480,9 @@ class Study(OpenStudy):
         is_sure : bool
             Do not ask.
         """
-        from feel321.study.terminal import ask, is_answerable
-        from feel321.study.withdrawal import release_participant, withdraw_participant
+        from feel321.study.withdrawal import report_leaving
 
-        folder, facts = self.folder, {"participant": participant}
-        if keep_data:
-            number = release_participant(folder, participant, now=self.now)
-            line = f"{folder.path}: {participant} is released, number {number} is free"
-            return Outcome({**facts, "number": number, "removed": []}, [line])
-        if not is_sure:
-            if not is_answerable():
-                raise UsageError("no terminal to ask for confirmation; add --yes")
-            question = f"Remove all data of {participant} in {folder.path} for good? [y/N]: "
-            if ask(question) not in {"y", "yes"}:
-                return Outcome(facts, [f"{folder.path}: nothing was removed"], failed=True)
-        removed = withdraw_participant(
-            folder, participant, now=self.now, reason=reason, warn=self.say
-        )
-        has_tombstone = (folder.sessions / participant).exists()
-        kept = "; a tombstone keeps the code" if has_tombstone else ""
-        line = (
-            f"{folder.path}: removed {len(removed)} files of {participant}{kept}. "
-            "Copies that feel321 did not make must be removed by hand"
-        )
-        return Outcome({**facts, "removed": removed, "tombstone": has_tombstone}, [line])
+        return report_leaving(self, participant, reason, keep_data=keep_data, is_sure=is_sure)
 
     def analyze(
         self,
@@ -664,29 +613,11 @@ class Study(OpenStudy):
         for_r : bool
             Write CSV files for R and JASP instead.
         """
-        from feel321.study.participants.traces import recording_output
+        from feel321.study.export import export_study
 
         if for_r and simulated:
             raise UsageError("--simulated is for BIDS; leave it out with --r")
-        path, notices = as_path(target), list[str]()
-        with recording_output(self.folder, "export", path, now=self.now):
-            if for_r:
-                from feel321.analysis.export import export_r
-
-                table, step = self.table(), "next, in that folder: Rscript model.R"
-                if "simulated" in table.rows and table.rows["simulated"].any():
-                    said = "ratings of simulated participants are among these"
-                    notices.append(f"{said}; see the column simulated")
-                export_r(table, path, rng=self.settings.study.seed)
-            else:
-                from feel321.study.export import export_bids
-
-                step = f"check it with: bids-validator-deno {path}"
-                notices += export_bids(self.folder, path, simulated=simulated)
-        for notice in notices:
-            self.say(notice)
-        facts = {"folder": str(path), "kind": "R" if for_r else "BIDS", "warnings": notices}
-        return Outcome(facts, [f"{path}: {step}"])
+        return export_study(self, as_path(target), simulated=simulated, for_r=for_r)
 
     @property
     def settings(self) -> Settings:
@@ -710,7 +641,7 @@ class Study(OpenStudy):
 
     def recordings(self) -> list[Recording]:
         """Read the recordings that `study.toml` names."""
-        from feel321.study.settings.recordings import open_recordings
+        from feel321.study.settings.read import open_recordings
 
         return open_recordings(self.settings, self.folder.path)
 

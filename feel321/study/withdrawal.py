@@ -14,15 +14,41 @@ from feel321 import files
 from feel321.files import hold_lock, make_folder, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.evidence.checkpoints import declaring, find_newest, note_checkpoint
-from feel321.study.folder import StudyFolder
+from feel321.study.folder import OpenStudy, Outcome, StudyFolder, UsageError
 from feel321.study.participants import roster, traces
 from feel321.study.participants.answers import write_answers
 from feel321.study.ratings import WIDE, write_matches, write_ratings
 from feel321.study.session import journal as journals
 from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
 from feel321.study.session.plan import TOMBSTONE_FILE
+from feel321.study.terminal import ask, is_answerable
 
 Say = Callable[[str], None]
+
+
+def report_leaving(
+    lab: OpenStudy, participant: str, reason: str, *, keep_data: bool, is_sure: bool
+) -> Outcome:
+    """Remove a participant's data, once that was confirmed, or only free the slot."""
+    study, facts = lab.folder, {"participant": participant}
+    if keep_data:
+        number = release_participant(study, participant, now=lab.now)
+        line = f"{study.path}: {participant} is released, number {number} is free"
+        return Outcome({**facts, "number": number, "removed": []}, [line])
+    if not is_sure:
+        if not is_answerable():
+            raise UsageError("no terminal to ask for confirmation; add --yes")
+        question = f"Remove all data of {participant} in {study.path} for good? [y/N]: "
+        if ask(question) not in {"y", "yes"}:
+            return Outcome(facts, [f"{study.path}: nothing was removed"], failed=True)
+    removed = withdraw_participant(study, participant, now=lab.now, reason=reason, warn=lab.say)
+    has_tombstone = (study.sessions / participant).exists()
+    kept = "; a tombstone keeps the code" if has_tombstone else ""
+    line = (
+        f"{study.path}: removed {len(removed)} files of {participant}{kept}. "
+        "Copies that feel321 did not make must be removed by hand"
+    )
+    return Outcome({**facts, "removed": removed, "tombstone": has_tombstone}, [line])
 
 
 def withdraw_participant(

@@ -20,7 +20,7 @@ from feel321.study.evidence.freeze import (
     find_changes,
     find_faults,
     freeze_study,
-    list_changes,
+    list_settings,
     make_standing,
     read_frozen,
 )
@@ -68,7 +68,8 @@ def change(study: StudyFolder, text: str) -> None:
 
 
 def compare(study: StudyFolder) -> dict[str, str]:
-    return list_changes(study, read_settings(study.settings), read_frozen(study))
+    named = list_settings(study, read_settings(study.settings))
+    return find_changes(read_frozen(study).settings, named)
 
 
 def stand(study: StudyFolder, **asked: object) -> Standing:

@@ -34,7 +34,7 @@ def pilot(tmp_path_factory: pytest.TempPathFactory) -> Study:
     (folder / "study.toml").write_text(SHORT, encoding="utf-8")
     study = Study.open(str(folder))
     study.build()
-    assert len(study.simulate(2, 7)) == len(study.ratings())
+    assert study.simulate(2, 7).to_dict()["ratings"] == len(study.ratings())
     return study
 
 

@@ -38,7 +38,7 @@ from feel321.study.session.ports import (
     Presenter,
 )
 from feel321.study.sessions import Room, lead_session
-from feel321.study.settings.about import ObserverTable
+from feel321.study.settings.schema import ObserverTable
 from tests.study.conftest import audit_study
 
 STUDY = """
