@@ -199,7 +199,7 @@ def test_every_reading_option_reaches_the_reader(
         calls.append((path, options))
         return Recording(np.ones((3, 9)), 1000.0, "x")
 
-    monkeypatch.setattr("feel321.study.settings.read.read_recording", read_recording)
+    monkeypatch.setattr("feel321.stimuli.formats.read.read_recording", read_recording)
     text = "unit = 'g'\nrate_hz = 50.0\ncolumns = ['x', 1, 2]\nfull_scale = 16.0\nresample = true"
     settings = read(f"[[recordings]]\nfile = 'a.wav'\nname = 'oak'\n{text}")
     assert [one.name for one in open_recordings(settings, tmp_path)] == ["oak"]
