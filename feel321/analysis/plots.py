@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.analysis import figures
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers, stimulus_means
-from feel321.analysis.figures import kinds
-from feel321.analysis.figures.style import assign_looks, make_handles
+from feel321.analysis.figures import assign_looks, make_handles
 from feel321.analysis.table.items import Table, open_tests
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import capitalise, format_measure, format_name
@@ -39,7 +39,7 @@ def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = N
     values = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")[[metric]]
     stimuli = stimulus_means(rows).join(values, on="stimulus_id")
     ax, looks = _find_axes(ax), assign_looks(order_reducers(stimuli["reducer"]))
-    shown = kinds.plot_stimuli(ax, stimuli, metric, looks=looks)
+    shown = figures.plot_stimuli(ax, stimuli, metric, looks=looks)
     ax.set_ylabel(_label_ratings(rows))
     ax.legend(shown.values(), map(format_name, shown))
     return ax
@@ -59,13 +59,13 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
     names = order_reducers(profile["reducer"])
     part = profile["scale"].map(format_name) + ", " + profile["level"].map(format_name)
     if len(part.unique()) == 1:
-        kinds.plot_profile(ax, profile, participant_means(ratings), looks=assign_looks(names))
+        figures.plot_profile(ax, profile, participant_means(ratings), looks=assign_looks(names))
     else:
         looks = assign_looks(sorted(part.unique()))
         frame = profile.assign(part=part, name=profile["reducer"].map(format_name))
         frame = frame.sort_values("reducer", key=lambda own: own.map(names.index), kind="stable")
         ends = "mean low high"
-        kinds.plot_forest(ax, frame, columns=ends, series="part", looks=looks, include=())
+        figures.plot_forest(ax, frame, columns=ends, series="part", looks=looks, include=())
         ax.legend(handles=list(make_handles(looks).values()), labels=list(looks))
     ax.set_xlabel(_label_ratings(profile))
     return ax
@@ -92,9 +92,9 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
         tables.append(model.slopes.reset_index().assign(model=name, filled=not model.fit.singular))
     frame = pd.concat(tables)
     frame["name"] = frame["metric"].map(format_name)
-    kinds.plot_forest(
+    figures.plot_forest(
         ax, frame, columns="tenth tenth_low tenth_high", series="metric",
-        looks=kinds.look_up(frame["metric"]), heading="model" if any(frame["model"]) else "",
+        looks=figures.look_up(frame["metric"]), heading="model" if any(frame["model"]) else "",
     )  # fmt: skip
     ax.set_xlabel("Change in rating per +0.1 of the metric")
     return ax
@@ -119,7 +119,7 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
     words = frame[keys].astype(str).map(format_name)
     ceilings = frame["ceiling"].to_numpy(float)
     include = (0.0, *ceilings[np.isfinite(ceilings)])
-    kinds.plot_forest(ax, frame.assign(name=words.agg(", ".join, axis=1)), include=include)
+    figures.plot_forest(ax, frame.assign(name=words.agg(", ".join, axis=1)), include=include)
     ax.vlines(ceilings, np.arange(len(frame)) - 0.3, np.arange(len(frame)) + 0.3, color="0.4")
     ax.set_xlabel("Correlation with mean ratings")
     return ax

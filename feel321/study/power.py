@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from pandas import DataFrame, concat
 
 from feel321 import __version__
-from feel321.analysis.figures import style
+from feel321.analysis import figures
 from feel321.analysis.page import render_words
 from feel321.analysis.power import plan as planning
 from feel321.analysis.power.design import ENOUGH, GROUPS, PowerDesign, Truth
@@ -31,10 +31,10 @@ from feel321.protocols.trial import CHOOSING
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study import ratings
 from feel321.study.folder import StudyFolder, UsageError
-from feel321.study.observer.model import make_model
+from feel321.study.observer import make_model
 from feel321.study.session.plan import list_by_code, make_plan
 from feel321.study.settings import read, schema
-from feel321.study.settings.recordings import list_origins
+from feel321.study.settings.read import list_origins
 from feel321.study.settings.schema import Settings
 
 Numbers = int | Sequence[int]
@@ -384,12 +384,12 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
     """Draw power against participants, a curve for each number of recordings; own: that of the study."""
     people = sorted(table["people"].unique())
     endless = people[-1] + 0.1 * max(people[-1] - people[0], 1)
-    with style.print_style():
-        figure, axes = style.new_figure(HEIGHT_CM)
+    with figures.print_style():
+        figure, axes = figures.new_figure(HEIGHT_CM)
         for place, number in enumerate(sorted(table["recordings"].unique())):
             rows = table[table["recordings"] == number].sort_values("people")
             is_own = bool(number == own)
-            colour = style.BLACK if is_own else style.GREY
+            colour = figures.BLACK if is_own else figures.GREY
             walk = "-" if is_own else WALKS[place % len(WALKS)]
             name = f"{number} recordings{' (this study)' * is_own}"
             axes.plot(rows["people"], rows["power"], color=colour, linestyle=walk, label=name)
@@ -399,12 +399,12 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
             dots[0].set_markeredgecolor(colour)
             end = rows.iloc[-1]
             limit = [end["people"], endless], [end["power"], end["ceiling"]]
-            axes.plot(*limit, color=colour, linestyle=(0, (2, 2)), linewidth=style.THIN)
-        axes.axhline(wanted, color=style.GREY, linewidth=style.THIN, zorder=1)
+            axes.plot(*limit, color=colour, linestyle=(0, (2, 2)), linewidth=figures.THIN)
+        axes.axhline(wanted, color=figures.GREY, linewidth=figures.THIN, zorder=1)
         axes.set(xlabel="Participants", ylabel="Power", ylim=(-0.02, 1.04))
         axes.set_yticks(np.arange(0, 1.01, 0.2))
         axes.set_xlim(right=endless)
-        axes.grid(axis="y", color=style.PALE, linewidth=style.THIN)
+        axes.grid(axis="y", color=figures.PALE, linewidth=figures.THIN)
         axes.set_axisbelow(True)
         ticks = people[:: max(1, len(people) // 8)]
         axes.set_xticks([*ticks, endless], [*map(str, ticks), "\N{INFINITY}"])
