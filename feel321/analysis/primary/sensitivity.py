@@ -162,11 +162,6 @@ class Influence:
     exceptions: pd.DataFrame
     notes: tuple[str, ...] = ()
 
-    def find_turns(self, metric: str) -> pd.DataFrame:
-        """Find the units without which a metric's verdict or sign changes, the largest change first."""
-        moves = self.find_moves(metric)
-        return moves if moves.empty else moves[moves["turns"]]
-
     def find_moves(self, metric: str) -> pd.DataFrame:
         """Find the units without which a metric's slope changes by more than its standard error, or turns."""
         if self.table.empty:
