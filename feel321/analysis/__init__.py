@@ -12,11 +12,15 @@ from typing import TYPE_CHECKING as _TYPE_CHECKING
 from feel321.doors import import_lazily as _import_lazily
 
 if _TYPE_CHECKING:
-    from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling
+    from feel321.analysis.agreement import (
+        intraclass,
+        krippendorff_alpha,
+        noise_ceiling,
+        rater_model,
+    )
     from feel321.analysis.association import compare_metrics, correlate
     from feel321.analysis.choices import discriminate
     from feel321.analysis.classic import compare_dependent, p1401, repeated_measures_correlation
-    from feel321.analysis.consistency import rater_model
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
     from feel321.analysis.contrasts.compare import compare_reducers, equivalence
     from feel321.analysis.mixed.model import contrast, fit_mixed

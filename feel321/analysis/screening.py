@@ -17,9 +17,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from pandas import DataFrame, Series
 
-from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
+from feel321.analysis.agreement import FLOOR, SMALLEST, gauge_raters, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import FLAT, Values, check_columns, read_numbers
-from feel321.analysis.consistency import FLOOR, gauge_raters
 from feel321.analysis.resampling import weighted_pearson
 from feel321.analysis.table.items import (
     STIMULUS,
