@@ -1,10 +1,9 @@
 """Do the match metrics predict what people feel? Tables in, associations, models, profiles and a report out.
 
 Importing this package loads none of it: a function's module is imported, with pandas and scipy, when the function is
-asked for.
-What a statistic finds is a `Statistic`: named values, ``.to_frame()``, ``.to_dict()``; this and all other records that
-functions return are in `feel321.results`. What cannot be computed is refused by a ValueError (a wrong
-type by a TypeError) that says what must be, what was got and what to do; what is left out or assumed is in the notes.
+asked for. What a statistic finds is a `Statistic`: named values, ``.to_frame()``, ``.to_dict()``; this and all other
+records that functions return are in `feel321.results`. What cannot be computed is refused by a ValueError (a wrong type
+by a TypeError) that says what must be, what was got and what to do; what is left out or assumed is in the notes.
 """
 
 from typing import TYPE_CHECKING as _TYPE_CHECKING

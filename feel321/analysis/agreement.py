@@ -247,8 +247,7 @@ def noise_ceiling(table: Table | ArrayLike) -> float:
     Returns
     -------
     float
-        sqrt(ICC(C,k)), 0 to 1; NaN where targets do not differ beyond noise: there is nothing to predict
-        then.
+        sqrt(ICC(C,k)), 0 to 1; NaN where targets do not differ beyond noise: there is nothing to predict then.
 
     Notes
     -----
