@@ -48,17 +48,6 @@ AXIS = re.compile(
 TIME = re.compile(r"t|time|times|time[\s_]?stamps?", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True)
-class ReadingOptions:
-    """Options of the caller; columns are (x, y, z) or (time, x, y, z), by name or number from 0."""
-
-    rate_hz: float | None = None
-    unit: str | None = None
-    columns: Sequence[str | int] | None = None
-    full_scale: float | None = None
-    resample: bool = False
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoded:
     """The content of a file; first_line is the line of a text file that holds the first sample, from 1."""
@@ -163,9 +152,8 @@ def find_columns(labels: Sequence[str], *, wholes: Sequence[str] = ()) -> Column
         elif TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0]):
             found["time"].append(i)
     axes = _check_found(found, labels)
-    for i in axes:
-        if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
-            parse_unit(unit)  # a bracket may say volts: only columns=... overrules it
+    for unit in filter(None, (split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes)):
+        parse_unit(unit)  # a bracket may say volts: only columns=... overrules it
     return _with_units(labels, axes, next(iter(found["time"]), None))
 
 
@@ -250,12 +238,12 @@ class TextTable:
     n_columns: int
 
 
-def read_table(path: Path, request: ReadingOptions) -> Decoded:
-    """Read three columns of acceleration, and time if there is a column for it."""
+def read_table(path: Path, wanted: Sequence[str | int] | None) -> Decoded:
+    """Read three columns of acceleration, and time if there is a column for it; wanted: (time,) x, y, z, if given."""
     table = split_table(path)
     n_columns, first = table.n_columns, table.first_line
-    if request.columns is not None:
-        columns = pick_columns(request.columns, labels=table.labels, n_columns=n_columns)
+    if wanted is not None:
+        columns = pick_columns(wanted, labels=table.labels, n_columns=n_columns)
     elif table.labels:
         columns = find_columns(table.labels)
     elif n_columns == 1:
