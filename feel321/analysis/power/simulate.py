@@ -11,6 +11,7 @@ import json
 import math
 from dataclasses import asdict
 from hashlib import sha256
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -82,7 +83,7 @@ def simulate_studies(
     *,
     studies: int,
     seed: int = 0,
-    workers: jobs.Workers = jobs.ALONE,
+    workers: int | jobs.Workers = 1,
     keep: Path | None = None,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Samples:
@@ -99,13 +100,12 @@ def simulate_studies(
         places = range(start, min(start + CHUNK, studies))
         file = keep and keep / f"studies-{digest}-{places[0]:06d}-{places[-1]:06d}.json"
         todo.append((_simulate_chunk, (design, [seed, key], places, file), {}))
-    found: dict[int, Samples] = {}
+    steps = count(1)
     progress(0, len(todo))
-    for place, chunk in jobs.run_jobs(todo, workers=workers):
-        found[place] = chunk
-        progress(len(found), len(todo))
-    none = np.empty((0, len(design.hypotheses)))
-    return np.concatenate([none, *(found[place] for place in sorted(found))])
+    found = jobs.gather_results(
+        todo, workers=workers, done=lambda: progress(next(steps), len(todo))
+    )
+    return np.concatenate([np.empty((0, len(design.hypotheses))), *found])
 
 
 def _simulate_chunk(  # noqa: PLR0917 - a job, by place

@@ -145,12 +145,11 @@ def find_columns(labels: Sequence[str], *, wholes: Sequence[str] = ()) -> Column
     found: dict[str, list[int]] = {"x": [], "y": [], "z": [], "time": [], "whole": []}
     for i, label in enumerate(labels):
         name = split_unit(label, ACCELERATION_SPELLINGS)[0]
-        if name.casefold() in wholes:
-            found["whole"].append(i)
-        elif match := AXIS.fullmatch(name):
-            found[match[1].lower()].append(i)
-        elif TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0]):
-            found["time"].append(i)
+        is_time = TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0])
+        axis = AXIS.fullmatch(name)
+        kind = "whole" if name.casefold() in wholes else axis[1].lower() if axis else "time"
+        if axis or is_time or kind == "whole":
+            found[kind].append(i)
     axes = _check_found(found, labels)
     for unit in filter(None, (split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes)):
         parse_unit(unit)  # a bracket may say volts: only columns=... overrules it

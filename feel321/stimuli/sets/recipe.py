@@ -34,25 +34,17 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
 from feel321.doors import Registry, as_names, check_name, check_rate, describe
 from feel321.extensions import Method, find_method, is_given
 from feel321.names import ANCHOR_NAMES
+from feel321.stimuli import match
 from feel321.stimuli.condition import Conditioning, Seconds, make_plain
-from feel321.stimuli.match import (
-    HIGHEST_HZ,
-    LOWEST_HZ,
-    NUMERICAL_FLOOR,
-    WEBER_FRACTION,
-    WeberSmoothing,
-    energy_spectrum,
-    log_grid,
-)
 from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.manifest import COLUMNS
@@ -93,33 +85,35 @@ RIDGE, PASSES = 1e-14, 3
 MARGIN = 0.95  # of its recording's peaks, for those of a mid anchor: resampling adds to them
 
 
-def low_anchor(
-    recording: Recording, rng: np.random.Generator, *, threshold: str = CONTACTOR
+def make_anchor(
+    recording: Recording, rng: np.random.Generator, *, follows: bool, threshold: str = CONTACTOR
 ) -> Samples:
-    """Make a steady hum with the recording's energy, where the recording has least."""
-    del threshold  # its peaks cannot be made lower
-    return _with_energy_of(recording, _hum(recording, rng))
-
-
-def mid_anchor(
-    recording: Recording, rng: np.random.Generator, *, threshold: str = CONTACTOR
-) -> Samples:
-    """Make a hum as `low_anchor` does, with the recording's envelope.
+    """Make a hum with the recording's energy, where the recording has least; follows: with its envelope.
 
     That is the root of the three axes' energy, smoothed over half a period of the highest envelope frequency; RMS 1.
     """
     from scipy.ndimage import gaussian_filter1d
 
     hum, axes = _hum(recording, rng), recording.acceleration
-    width = recording.rate_hz / (2 * np.pi * ENVELOPE_HZ)
-    energy = gaussian_filter1d(np.einsum("in,in->n", axes, axes), width, mode="nearest")
-    smooth = np.maximum(energy, 0.0)
-    envelope = np.asarray(np.sqrt(smooth / smooth.mean()))
-    return _with_energy_of(recording, hum * _flatten(envelope, hum, recording, threshold=threshold))
+    if follows:
+        width = recording.rate_hz / (2 * np.pi * ENVELOPE_HZ)
+        energy = gaussian_filter1d(np.einsum("in,in->n", axes, axes), width, mode="nearest")
+        smooth = np.maximum(energy, 0.0)
+        envelope = np.asarray(np.sqrt(smooth / smooth.mean()))
+        hum = hum * _flatten(envelope, hum, recording, threshold=threshold)
+    # What correlates with an axis is removed, by the normal equations of three unknowns; the ridge leaves silent axes
+    # alone, and further passes remove its error.
+    norms = np.sqrt(np.einsum("in,in->i", axes, axes))[:, None]
+    alike = axes / np.where(norms > 0, norms, 1.0)
+    products = np.einsum("in,jn->ij", alike, alike) + RIDGE * np.eye(len(axes))
+    for _ in range(PASSES):
+        shares = np.linalg.solve(products, np.einsum("in,n->i", alike, hum))
+        hum = hum - np.einsum("i,in->n", shares, alike)
+    return np.asarray(hum * np.sqrt(np.sum(norms**2) / np.einsum("n,n->", hum, hum)))
 
 
 ANCHORS: Registry[Callable[..., Samples]] = Registry(
-    "anchor", dict(zip(ANCHOR_NAMES, (low_anchor, mid_anchor), strict=True))
+    "anchor", {name: partial(make_anchor, follows=name == "anchor_mid") for name in ANCHOR_NAMES}
 )
 """Name -> anchor, made from a conditioned recording; the names stand in the manifest's column `reducer`."""
 
@@ -132,29 +126,27 @@ def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
     floor. Shares change continuously with the recording: bands that are equally quiet share.
     """
     n, rate_hz, axes = recording.n_samples, recording.rate_hz, recording.acceleration
-    frequencies = log_grid(n, rate_hz)
-    smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
-    energy = smooth(np.sum([energy_spectrum(axis, smooth.bins) for axis in axes], axis=0))
-    floor = NUMERICAL_FLOOR * float(np.einsum("in,in->", axes, axes))
+    frequencies = match.log_grid(n, rate_hz)
+    smooth = match.WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
+    energy = smooth(np.sum([match.energy_spectrum(axis, smooth.bins) for axis in axes], axis=0))
+    floor = match.NUMERICAL_FLOOR * float(np.einsum("in,in->", axes, axes))
     if not (energy > floor).any():
         why = "is silent between 20 and 1000 Hz and can have no anchors"
         raise ValueError(f"{recording.name!r} {why}; leave it out")
     # Least at ten times the floor, and higher again below it: no threshold, or a band could cross it by rounding.
     energy = np.maximum(energy, floor)
     energy = energy + 10 * floor * (10 * floor / energy)
-    inside = frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)
-    inside &= frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
-    lowest = acceleration_threshold(LOWEST_HZ)
+    inside = frequencies >= match.LOWEST_HZ * (1 + match.WEBER_FRACTION)
+    inside &= frequencies * (1 + match.WEBER_FRACTION) <= min(match.HIGHEST_HZ, rate_hz / 2)
+    lowest = acceleration_threshold(match.LOWEST_HZ)
     easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * lowest
-    shares = [_share(energy, inside), _share(energy, inside & easily_felt)]
+    shares: list[Samples] = []
+    for felt in (inside, inside & easily_felt):
+        allowed = felt if felt.any() else np.ones_like(felt)
+        ratio = np.minimum(energy[allowed].min() / energy, 1.0)
+        own = np.where(allowed, ratio**PRECEDENCE, 0.0)
+        shares.append(own / own.sum())
     return frequencies, FAINT * shares[0] + (1 - FAINT) * shares[1]
-
-
-def _share(energy: Samples, allowed: NDArray[np.bool_]) -> Samples:
-    allowed = allowed if allowed.any() else np.ones_like(allowed)
-    ratio = np.minimum(energy[allowed].min() / energy, 1.0)
-    shares = np.where(allowed, ratio**PRECEDENCE, 0.0)
-    return np.asarray(shares / shares.sum())
 
 
 def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
@@ -163,7 +155,7 @@ def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
     time_s = np.arange(recording.n_samples) / recording.rate_hz
     phases = rng.uniform(0, 2 * np.pi, len(frequencies))
     # As wide as a uniform distribution over the band. What is drifted is time, so that all bands are as wide.
-    drift = WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
+    drift = match.WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
     warped = time_s.copy()
     rates, starts = 2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS)
     for rate, phase in zip(rates, starts, strict=True):
@@ -178,45 +170,27 @@ def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold
     """Flatten an envelope softly until the anchor has no higher peaks; at most its root mean square marks the knee."""
     from scipy.optimize import brentq
 
-    def measure(samples: Samples) -> tuple[float, float]:
-        return largest(samples), loudest_levels(samples, recording.rate_hz, [threshold])[threshold]
+    def find_crest(samples: Samples) -> float:
+        levels = loudest_levels(samples, recording.rate_hz, [threshold])
+        return largest(samples) / levels[threshold]
 
     def flatten(much: float) -> Samples:
         return np.asarray(envelope / np.sqrt(1 + much * envelope**2))
 
     def exceed(much: float) -> float:
-        peak, level = measure(hum * flatten(much))
-        return peak / level - MARGIN * allowed
+        return find_crest(hum * flatten(much)) - MARGIN * allowed
 
-    peak, level = measure(recording.acceleration)
-    allowed = peak / level
+    allowed = find_crest(recording.acceleration)
     if exceed(0.0) <= 0:
         return envelope
     return flatten(1.0 if exceed(1.0) >= 0 else brentq(exceed, 0.0, 1.0, xtol=1e-15))
 
 
-def _with_energy_of(recording: Recording, hum: Samples) -> Samples:
-    """Remove what correlates with an axis, and scale the hum to the recording's energy."""
-    axes = recording.acceleration
-    norms = np.sqrt(np.einsum("in,in->i", axes, axes))[:, None]
-    alike = axes / np.where(norms > 0, norms, 1.0)
-    # The normal equations of three unknowns; the ridge leaves silent axes alone, and further passes remove its error.
-    products = np.einsum("in,jn->ij", alike, alike) + RIDGE * np.eye(len(axes))
-    for _ in range(PASSES):
-        shares = np.linalg.solve(products, np.einsum("in,n->i", alike, hum))
-        hum = hum - np.einsum("i,in->n", shares, alike)
-    return np.asarray(hum * np.sqrt(np.sum(norms**2) / np.einsum("n,n->", hum, hum)))
-
-
 LEVELS = ("as_is", "equal_intensity")
-"""Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
-level, so that a rating cannot be one of strength."""
 
 ORIGINAL, NO_REFERENCE = "original", "none"  # the recording itself, on three channels
 
 ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
-"""Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for
-each recording with its reductions and reference, so that no spike of one recording weakens the others."""
 
 RIG_RATES_HZ = LOWEST_RATE_HZ, HIGHEST_RATE_HZ = (
     2000,
