@@ -253,9 +253,8 @@ def read_hatt(path: Path, _: None) -> tables.Decoded:
     if not axes and re.search(rf"\b{SENSOR}\b", " ".join(tags)):
         raise tables.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
     if not axes:
-        got = ", ".join(list(tags)[:12]) or "none"
-        what = f"got tags {got}"
-        raise ValueError(f"the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, {what}")
+        got = f"got tags {', '.join(list(tags)[:12]) or 'none'}"
+        raise ValueError(f"the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, {got}")
     units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
     samples = tables.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()})
     unit = tables.parse_unit(_only(sorted(units), "units")) if units else None
@@ -282,30 +281,20 @@ def _only(texts: list[str], tag: str) -> str:
 def _numbers(text: str, axis: str) -> Samples:
     words = re.split(r"[\s,;]+", text.strip(" \t\r\n,;"))
     try:
-        values = np.array(words, dtype=np.float64)
+        return np.array(words, dtype=np.float64)
     except ValueError as error:
         got = intake.clip(str(error), 120)
         raise ValueError(f"a value of the {axis} axis is not a number ({got})") from None
-    if not (is_finite := np.isfinite(values)).all():
-        i = int(np.argmin(is_finite))
-        must = f"value {i} of the {axis} axis must be a finite number"
-        raise ValueError(f"{must}, got {intake.clip(words[i])!r}")
-    return values
 
 
-NAME = re.compile(r"(.+_(?:Movement|Tapping))_([XYZ])_((?:train|test)\d+)", re.IGNORECASE)
+LMT_NAME = re.compile(r"(.+_(?:Movement|Tapping))_([XYZ])_((?:train|test)\d+)\.txt", re.IGNORECASE)
 RATE_HZ = 10000.0
 RATE_NOTE = "LMT-108 files name no rate: taken as the documented 10000 Hz (rate_hz=... says otherwise)"  # fmt: skip
 
 
-def is_lmt(path: Path) -> bool:
-    """Whether, by its name, a file is one axis of a triple of the LMT-108 set."""
-    return path.suffix.lower() == ".txt" and NAME.fullmatch(path.stem) is not None
-
-
 def read_lmt(path: Path, rate_hz: float | None) -> tables.Decoded:
     """Read one axis of a triple and its two sisters beside it."""
-    head, axis, tail = NAME.fullmatch(path.stem).groups()  # type: ignore[union-attr]  # is_lmt
+    head, axis, tail = LMT_NAME.fullmatch(path.name).groups()  # type: ignore[union-attr]  # it has such a name
     letters = "XYZ" if axis.isupper() else "xyz"
     sisters = [path.with_name(f"{head}_{letter}_{tail}{path.suffix}") for letter in letters]
     if missing := [sister.name for sister in sisters if not sister.is_file()]:

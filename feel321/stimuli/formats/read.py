@@ -33,8 +33,15 @@ REFUSED = {
         "the text is in UTF-16 or UTF-32; save the file as UTF-8",
 }  # fmt: skip
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
-BINARY_SUFFIXES = (".wav", ".npz", ".npy", ".mat", ".ide")
-SUFFIXES = (*TABLE_SUFFIXES, ".xml", *BINARY_SUFFIXES)  # Every suffix that is read
+SUFFIXES = (
+    *TABLE_SUFFIXES,
+    ".xml",
+    ".wav",
+    ".npz",
+    ".npy",
+    ".mat",
+    ".ide",
+)  # every one that is read
 TEXT_CONTROLS = frozenset(b"\t\n\v\f\r")
 HEAD_BYTES = 4096
 
@@ -52,7 +59,7 @@ def detect_format(path: Path) -> str:
     signs = {name: head.startswith(starts) for name, starts in MAGIC.items()} | {
         "mat": head.startswith(b"MATLAB 5.0") or (suffix == ".mat" and not is_text),  # version 4
         "hatt": is_text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"),
-        "lmt": is_text and files.is_lmt(path),
+        "lmt": is_text and files.LMT_NAME.fullmatch(path.name) is not None,
         "table": is_text and suffix in TABLE_SUFFIXES,
     }
     if kind := next((kind for kind, is_so in signs.items() if is_so), ""):
@@ -84,10 +91,9 @@ def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
             if hit.any():  # sorting takes long
                 hit &= jump > 2 * np.diff(np.unique(value)).min()
             if hit.any():
-                runs = f"{hit.sum()} runs ({length[hit].sum()} samples)"
                 where = f"the first at {start[hit][0] / rate_hz:.6g} s"
                 at = f"axis {name}: saturated at {extreme:.6g} m/s^2"
-                findings.append(f"{at} in {runs}, {where}")
+                findings.append(f"{at} in {hit.sum()} runs ({length[hit].sum()} samples), {where}")
     return tuple(findings)
 
 
@@ -169,8 +175,7 @@ def _find_jitter(time_s: Samples, step_s: float) -> str:
         return ""
     most = f"jitter up to {float(jitter.max()) / period:.1%} of the {period * 1e3:.6g} ms period"
     off = f"{irregular.size} of {intervals.size} intervals off"
-    first = f"the first at {time_s[irregular[0]]:.6f} s"
-    return f"{most}, {off}, {first}, the longest {intervals.max() * 1e3:.6g} ms"
+    return f"{most}, {off}, the first at {time_s[irregular[0]]:.6f} s, the longest {intervals.max() * 1e3:.6g} ms"
 
 
 NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2; if it is another, name it (unit, --unit)"

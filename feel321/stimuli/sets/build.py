@@ -55,11 +55,8 @@ class Built:
     row: Stimulus
 
 
-History = Mapping[str, Sequence[Built]]  # what the last build remembers, by recording
-
-
-def read_history(folder: Path) -> History:
-    """Read what the last build remembers; it saves work and is never trusted further."""
+def read_history(folder: Path) -> Mapping[str, Sequence[Built]]:
+    """Read what the last build remembers, by recording; it saves work and is never trusted further."""
     from pydantic import TypeAdapter
 
     read_line = TypeAdapter(Built).validate_json
@@ -267,31 +264,29 @@ def place_surveyed(surveyed: Sequence[Facts], recipe: Recipe) -> dict[str, list[
         is_equal = level != "as_is"
         groups: defaultdict[tuple[str, float | str], list[Facts]] = defaultdict(list)
         for one in surveyed:
-            is_alone = recipe.gain == recipes.GAIN_PER_RECORDING or (
-                one.name in given and not is_equal
-            )
             gain = recipe.gain if is_equal else given.get(one.name, recipe.gain)
+            is_alone = recipe.gain == recipes.GAIN_PER_RECORDING or gain != recipe.gain
             groups[one.name * is_alone, gain].append(one)
         for (_, gain), group in groups.items():
             # Each with the level over the threshold that is made equal, at unit gain; as it is, with none.
             notes = [
-                (one, note, note.levels[threshold] if is_equal else 1.0)
+                (draft, note, note.levels[threshold] if is_equal else 1.0)
                 for own in group
-                for one in own.drafts
-                for note in [own.measured[one.key]]
+                for draft in own.drafts
+                for note in [own.measured[draft.key]]
             ]
             if silent := sum(strength == 0.0 for _, _, strength in notes):
                 why = f"{silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong"
                 raise ValueError(f"equal_intensity: {why}; leave out this level, or what is silent")
-            peaks = [note.peak / each for one, note, each in notes if one.role != ANCHOR]
+            peaks = [note.peak / each for draft, note, each in notes if draft.role != ANCHOR]
             loudest = max(peaks, default=0.0)
             common = room / loudest if loudest else 1.0
             common = common if is_equal or isinstance(gain, str) else gain
-            for one, note, each in notes:
-                most = room / note.peak if one.role == ANCHOR else math.inf
+            for draft, note, each in notes:
+                most = room / note.peak if draft.role == ANCHOR else math.inf
                 chosen = min(common / each, most)
-                made = Foreseen(**asdict(one), measured=note, level=level, gain=chosen)
-                placed[one.recording].append(made)
+                made = Foreseen(**asdict(draft), measured=note, level=level, gain=chosen)
+                placed[draft.recording].append(made)
     return placed
 
 

@@ -140,9 +140,7 @@ class StimulusSet(Result):
         """Return the stimulus of an id, or of a place in the manifest's order."""
         if isinstance(stimulus_id, int):
             return self.stimuli[stimulus_id]
-        if (found := next((row for row in self if row.stimulus_id == stimulus_id), None)) is None:
-            found = Registry("stimulus_id", {row.stimulus_id: row for row in self})[stimulus_id]
-        return found
+        return Registry("stimulus_id", {row.stimulus_id: row for row in self})[stimulus_id]
 
     def __repr__(self) -> str:
         """Count the stimuli and say where they are."""
@@ -302,8 +300,6 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
                 stimuli.append(_read_row(row, model))
     except csv.Error as error:
         raise ValueError(f"{path}: not a CSV table ({error}); build the set again") from None
-    except UnicodeError:
-        raise
     except ValueError as error:
         said = intake.word_fault(error).removeprefix(f"{path.name}: ")
         raise ValueError(f"{path}, line {line}: {said}; build the set again") from None
@@ -363,8 +359,7 @@ def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
         yield f"{name}: was changed after it was built (its SHA-256 differs); build the set again"
     else:
         if stimulus.clipped:
-            do = "lower the gain or raise full_scale_m_s2"
-            yield f"{name}: {stimulus.clipped} samples clipped; {do}"
+            yield f"{name}: {stimulus.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
         try:
             samples, rate = read_wav(path)
         except ValueError as error:

@@ -43,8 +43,16 @@ from annotated_types import Interval
 from feel321.doors import Registry, as_names, check_name, check_rate, describe
 from feel321.extensions import Method, find_method, is_given
 from feel321.names import ANCHOR_NAMES
-from feel321.stimuli import match
 from feel321.stimuli.condition import Conditioning, Seconds, make_plain
+from feel321.stimuli.match import (
+    HIGHEST_HZ,
+    LOWEST_HZ,
+    NUMERICAL_FLOOR,
+    WEBER_FRACTION,
+    WeberSmoothing,
+    energy_spectrum,
+    log_grid,
+)
 from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.manifest import COLUMNS
@@ -126,19 +134,19 @@ def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
     floor. Shares change continuously with the recording: bands that are equally quiet share.
     """
     n, rate_hz, axes = recording.n_samples, recording.rate_hz, recording.acceleration
-    frequencies = match.log_grid(n, rate_hz)
-    smooth = match.WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
-    energy = smooth(np.sum([match.energy_spectrum(axis, smooth.bins) for axis in axes], axis=0))
-    floor = match.NUMERICAL_FLOOR * float(np.einsum("in,in->", axes, axes))
+    frequencies = log_grid(n, rate_hz)
+    smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
+    energy = smooth(np.sum([energy_spectrum(axis, smooth.bins) for axis in axes], axis=0))
+    floor = NUMERICAL_FLOOR * float(np.einsum("in,in->", axes, axes))
     if not (energy > floor).any():
         why = "is silent between 20 and 1000 Hz and can have no anchors"
         raise ValueError(f"{recording.name!r} {why}; leave it out")
     # Least at ten times the floor, and higher again below it: no threshold, or a band could cross it by rounding.
     energy = np.maximum(energy, floor)
     energy = energy + 10 * floor * (10 * floor / energy)
-    inside = frequencies >= match.LOWEST_HZ * (1 + match.WEBER_FRACTION)
-    inside &= frequencies * (1 + match.WEBER_FRACTION) <= min(match.HIGHEST_HZ, rate_hz / 2)
-    lowest = acceleration_threshold(match.LOWEST_HZ)
+    inside = frequencies >= LOWEST_HZ * (1 + WEBER_FRACTION)
+    inside &= frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
+    lowest = acceleration_threshold(LOWEST_HZ)
     easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * lowest
     shares: list[Samples] = []
     for felt in (inside, inside & easily_felt):
@@ -155,7 +163,7 @@ def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
     time_s = np.arange(recording.n_samples) / recording.rate_hz
     phases = rng.uniform(0, 2 * np.pi, len(frequencies))
     # As wide as a uniform distribution over the band. What is drifted is time, so that all bands are as wide.
-    drift = match.WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
+    drift = WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
     warped = time_s.copy()
     rates, starts = 2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS)
     for rate, phase in zip(rates, starts, strict=True):
@@ -192,10 +200,7 @@ ORIGINAL, NO_REFERENCE = "original", "none"  # the recording itself, on three ch
 
 ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
 
-RIG_RATES_HZ = LOWEST_RATE_HZ, HIGHEST_RATE_HZ = (
-    2000,
-    384_000,
-)  # 1000 Hz can be played, and sound devices run
+LOWEST_RATE_HZ, HIGHEST_RATE_HZ = (2000, 384_000)  # 1000 Hz can be played, and sound devices run
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 # The settings of a recipe are records of their own: `settings/meanings.toml` says what each is.
@@ -290,8 +295,9 @@ class Recipe(StimulusSettings, RigSettings):
             got = f"got {always[0]!r}, which every set has; leave it out"
             raise ValueError(f"metrics must name further ones, {got}")
         if not isinstance(self.conditioning, Conditioning):
-            got = describe(self.conditioning)
-            raise TypeError(f"conditioning must be a Conditioning, got {got}")
+            raise TypeError(
+                f"conditioning must be a Conditioning, got {describe(self.conditioning)}"
+            )
         check_name(self.threshold, THRESHOLDS, "threshold")
         self._check_numbers()
 
@@ -326,14 +332,16 @@ class Recipe(StimulusSettings, RigSettings):
 
     def _check_numbers(self) -> None:
         check_rate(self.full_scale_m_s2, "full_scale_m_s2", " of m/s^2")
-        low, high = RIG_RATES_HZ
+        low, high = LOWEST_RATE_HZ, HIGHEST_RATE_HZ
         is_rate = check_rate(self.rate_hz) == int(self.rate_hz) and low <= self.rate_hz <= high
         is_number = not isinstance(self.gain, str | bool) and 0 < self.gain < float("inf")
-        gains = "a finite number above 0, 'set' or 'per_recording'"
         rules = {
             "rate_hz": (is_rate, f"a whole number of Hz from {low} to {high}"),
             "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
-            "gain": (is_number or self.gain in GAINS, gains),
+            "gain": (
+                is_number or self.gain in GAINS,
+                "a finite number above 0, 'set' or 'per_recording'",
+            ),
             "fade_s": (0 <= self.fade_s < float("inf"), "0 s or more"),
         }
         for name, (is_right, must) in rules.items():
@@ -358,10 +366,9 @@ def find_conditioning(recipe: Recipe, recording: str) -> Conditioning:
 def describe_recipe(recipe: Recipe) -> dict[str, Any]:
     """Return what `manifest.json` records of a recipe, but for the lab's own methods."""
     own = {one.name: getattr(recipe, one.name) for one in fields(recipe) if one.name != "methods"}
-    for name in ("metrics", "exceptions"):  # named where there are any
-        if not own[name]:
-            del own[name]
-    return own | {"conditioning": asdict(recipe.conditioning)}
+    empty = {name for name in ("metrics", "exceptions") if not own[name]}
+    own["conditioning"] = asdict(recipe.conditioning)
+    return {name: value for name, value in own.items() if name not in empty}
 
 
 def check_names(names: Sequence[str]) -> None:

@@ -7,7 +7,7 @@ a build remembers what it measured.
 import hashlib
 import json
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from typing import Any
@@ -17,8 +17,13 @@ import numpy as np
 from feel321 import __version__
 from feel321.doors import check_name
 from feel321.names import ANCHOR, METRIC_INFO
-from feel321.stimuli import match
 from feel321.stimuli.condition import condition, fade, resample
+from feel321.stimuli.match import (
+    OriginalSpectrum,
+    axis_correlations,
+    match_in_windows,
+    mean_over_axes,
+)
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.own_methods import OwnMetric, OwnReducer
 from feel321.stimuli.recording import Recording, digest_samples, largest
@@ -139,50 +144,21 @@ def render_drafts(
     if not wanted:  # nor is the recording read
         return
     try:
-        made = _Rendering(recipes.read_given(given), recipe)
+        made = Rendering(recipes.read_given(given), recipe)
         for draft in wanted:
-            samples, played = made.play(draft.reducer)
+            samples, played, _ = made.play(draft.reducer)
             yield draft, played, made.measure(samples, played)
     except ValueError as error:
         raise ValueError(f"recording {given.name!r}: {error}") from None
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Reduction:
-    """What a stimulus was made from, at the recording's rate, as its metrics saw it.
-
-    acceleration: of the conditioned recording, shape (3, n); samples: its reduction, (n,), or itself, (3, n), in m/s²;
-    factor: m/s² that are played at unit gain per m/s² of the samples.
-    """
-
-    acceleration: Samples
-    rate_hz: float
-    samples: Samples
-    factor: float
-
-
-def reduce_again(
-    recording: Recording, reducers: Collection[str], recipe: Recipe
-) -> dict[str, Reduction]:
-    """Make again what stimuli of one recording were made from, by reducer; `original` and anchors are among them."""
-    made, found = _Rendering(recording, recipe), {}
-    ready = made.recording
-    for name in reducers:
-        samples, played = made.play(name)
-        factor = 1.0
-        if name in ANCHORS:  # made as strong as its recording
-            factor = float(np.linalg.norm(played) / np.linalg.norm(made.for_the_rig(samples)))
-        found[name] = Reduction(ready.acceleration, ready.rate_hz, samples, factor)
-    return found
-
-
-class _Rendering:
+class Rendering:
     """The conditioned recording, and its stimuli, which are measured against it."""
 
     def __init__(self, recording: Recording, recipe: Recipe) -> None:
         self.recipe = recipe
         self.recording = condition(recording, recipes.find_conditioning(recipe, recording.name))
-        self.spectrum = match.OriginalSpectrum(self.recording.acceleration, self.recording.rate_hz)
+        self.spectrum = OriginalSpectrum(self.recording.acceleration, self.recording.rate_hz)
         if self.spectrum.reason:
             raise ValueError(
                 f"{self.spectrum.reason}; nothing can be felt or matched, leave it out"
@@ -191,30 +167,32 @@ class _Rendering:
         self.levels = loudest_levels(self.played, recipe.rate_hz, THRESHOLDS)
 
     def for_the_rig(self, samples: Samples) -> Samples:
-        # An offset (mag321 makes one) cannot be felt and only heats the coil; the metrics are taken before it is
-        # removed.
+        """Remove the offset, which cannot be felt and only heats the coil; mag321 makes one. Resample, fade."""
         vibration = samples - samples.mean(axis=-1, keepdims=True)
         played = resample(vibration, self.recording.rate_hz, to_hz=self.recipe.rate_hz)
         return fade(played, self.recipe.rate_hz, fade_s=self.recipe.fade_s)
 
-    def play(self, reducer: str) -> tuple[Samples, Samples]:
-        """Make a stimulus, at its recording's rate and for the rig; there, anchors are as strong as the recording."""
+    def play(self, reducer: str) -> tuple[Samples, Samples, float]:
+        """Make a stimulus, at its recording's rate and for the rig, where anchors are as strong as the recording.
+
+        Also gives what that took: m/s² that are played at unit gain per m/s² of the samples.
+        """
         recording, recipe = self.recording, self.recipe
         if reducer == ORIGINAL:
-            return recording.acceleration, self.played
+            return recording.acceleration, self.played, 1.0
         if reducer not in ANCHORS:
             samples = find_reducer(recipe, reducer)(recording.acceleration, recording.rate_hz)
-            return samples, self.for_the_rig(samples)
+            return samples, self.for_the_rig(samples), 1.0
         # By names, not by samples: a seed from those would differ with the last digit of anything before it.
         rng = np.random.default_rng([recipe.seed, *f"{recording.name}/{reducer}".encode()])
         samples = ANCHORS[reducer](recording, rng, threshold=recipe.threshold)
         played = self.for_the_rig(samples)
         own = loudest_levels(played, recipe.rate_hz, [recipe.threshold])[recipe.threshold]
-        return samples, self.levels[recipe.threshold] / own * played
+        factor = self.levels[recipe.threshold] / own
+        return samples, factor * played, factor
 
     def measure(self, samples: Samples, played: Samples) -> Measured:
-        # The level is that of what is played: fades and a removed offset change it. The metrics are those of the
-        # reduction.
+        """Measure a stimulus: the level of what is played, which fades change too, and the metrics of its samples."""
         peak = largest(played)
         if not peak <= float(np.finfo(np.float32).max):
             raise ValueError(
@@ -226,8 +204,8 @@ class _Rendering:
         }
         acceleration, rate_hz = self.recording.acceleration, self.recording.rate_hz
         is_original = samples.ndim > 1  # each of its channels is compared with itself
-        own = [(np.array([axis] * 3), axis) for axis in acceleration if axis.any()]
-        pairs: list[tuple[Samples, Samples]] = own if is_original else [(acceleration, samples)]
+        alike = [(np.array([axis] * 3), axis) for axis in acceleration if axis.any()]
+        pairs: list[tuple[Samples, Samples]] = alike if is_original else [(acceleration, samples)]
         further: dict[str, float | None] = {}
         for name in self.recipe.metrics:
             metric = find_metric(self.recipe, name)
@@ -236,8 +214,8 @@ class _Rendering:
         if is_original:
             return Measured(peak, levels, 1.0, 1.0, 1.0, 1.0, further)
         spectral, bounded = self.spectrum.match_both(samples)
-        temporal = match.mean_over_axes(match.axis_correlations(acceleration, samples))
-        windowed = match.match_in_windows(acceleration, samples, rate_hz)
+        temporal = mean_over_axes(axis_correlations(acceleration, samples))
+        windowed = match_in_windows(acceleration, samples, rate_hz)
         matches = float(spectral), float(temporal), float(bounded), float(windowed)
         return Measured(peak, levels, *matches, further)
 
