@@ -1,7 +1,8 @@
 """`check` and `build`: the steps of a study before its sessions."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -317,6 +318,18 @@ def _check_rig(
     return rig, found + Problems(tuple(problems))
 
 
+def find_copies(facts: Iterable[sets.Facts]) -> list[str]:
+    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
+    names: defaultdict[str, list[str]] = defaultdict(list)
+    for one in facts:
+        names[one.sha256].append(one.name)
+    return [
+        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
+        for sha256, same in names.items()
+        if sha256 and len(same) > 1
+    ]
+
+
 def find_warnings(
     study: StudyFolder, settings: Settings, recordings: Sequence[sets.Facts] = ()
 ) -> list[str]:
@@ -326,7 +339,7 @@ def find_warnings(
         for name in settings.tasks
         if name not in settings.session.protocols
     ]
-    remarks += sets.find_copies(recordings)
+    remarks += find_copies(recordings)
     remarks += [
         f"recording {one.name!r}, at {one.rate_hz:g} Hz: holds nothing above {one.rate_hz / 2:g} Hz, so its matches "
         f"compare less than 20 to {HIGHEST_HZ:g} Hz; record at {2 * HIGHEST_HZ:g} Hz or more, or report the band"

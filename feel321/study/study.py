@@ -141,8 +141,7 @@ class Study(Laboratory):
         scheduler : str
             A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
         """
-        from feel321.stimuli.sets.build import find_copies
-        from feel321.study.check import build_study
+        from feel321.study.check import build_study, find_copies
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(

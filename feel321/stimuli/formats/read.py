@@ -193,8 +193,6 @@ READERS: Mapping[str, Callable[[Path, Any], Decoded]] = {
 }
 """Format name -> reader, the only list of formats; it also takes the one option that the format has."""
 
-WITH_COLUMNS = frozenset({"table", "npz", "mat"})
-
 
 def read_recording(
     path: PathLike,
@@ -254,7 +252,7 @@ def read_recording(
         if not os.path.lexists(source):
             raise FileNotFoundError(f"there is no such file in {source.parent}; check the name")
         kind = detect_format(source)
-        if columns is not None and kind not in WITH_COLUMNS:
+        if columns is not None and kind not in {"table", "npz", "mat"}:
             raise ValueError(f"columns is for tables, NPZ and MAT, got a {kind} file; leave it out")
         if full_scale is not None and kind != "wav":
             raise ValueError(f"full_scale is for integer WAV, got a {kind} file; leave it out")

@@ -290,18 +290,6 @@ def place_surveyed(surveyed: Sequence[Facts], recipe: Recipe) -> dict[str, list[
     return placed
 
 
-def find_copies(facts: Iterable[Facts]) -> list[str]:
-    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
-    names: defaultdict[str, list[str]] = defaultdict(list)
-    for one in facts:
-        names[one.sha256].append(one.name)
-    return [
-        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
-        for sha256, same in names.items()
-        if sha256 and len(same) > 1
-    ]
-
-
 def _write_recording(
     given: Recording | Unread, facts: Facts, known: Iterable[Built], *, orders: Sequence[Foreseen],
     recipe: Recipe, parts: Path,

@@ -149,9 +149,8 @@ class StimulusSet(Result):
     @property
     def warnings(self) -> tuple[str, ...]:
         """One line for each recording that is played more than 40 dB stronger than it was recorded."""
-        return find_raised(
-            (row.recording, row.level, row.gain) for row in self if row.role != ANCHOR
-        )
+        felt = (row for row in self if row.role != ANCHOR)
+        return find_raised((row.recording, row.level, row.gain) for row in felt)
 
     def to_frame(self) -> DataFrame:
         """Return the manifest as a table.

@@ -102,7 +102,20 @@ def make_anchor(
     """
     from scipy.ndimage import gaussian_filter1d
 
-    hum, axes = _hum(recording, rng), recording.acceleration
+    # Sinusoids at a constant amplitude whose frequency drifts: noise would have peaks, which cost level.
+    frequencies, bands = weigh_bands(recording)
+    time_s = np.arange(recording.n_samples) / recording.rate_hz
+    phases = rng.uniform(0, 2 * np.pi, len(frequencies))
+    # As wide as a uniform distribution over the band. What is drifted is time, so that all bands are as wide.
+    drift = WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
+    warped = time_s.copy()
+    rates, starts = 2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS)
+    for rate, phase in zip(rates, starts, strict=True):
+        warped += drift / rate * np.sin(rate * time_s + phase)
+    hum = np.zeros(recording.n_samples)
+    for one in np.flatnonzero(bands > LOWEST_SHARE):
+        hum += np.sqrt(bands[one]) * np.cos(2 * np.pi * frequencies[one] * warped + phases[one])
+    axes = recording.acceleration
     if follows:
         width = recording.rate_hz / (2 * np.pi * ENVELOPE_HZ)
         energy = gaussian_filter1d(np.einsum("in,in->n", axes, axes), width, mode="nearest")
@@ -157,23 +170,6 @@ def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
     return frequencies, FAINT * shares[0] + (1 - FAINT) * shares[1]
 
 
-def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
-    """Sum sinusoids at a constant amplitude whose frequency drifts: noise would have peaks, which cost level."""
-    frequencies, shares = weigh_bands(recording)
-    time_s = np.arange(recording.n_samples) / recording.rate_hz
-    phases = rng.uniform(0, 2 * np.pi, len(frequencies))
-    # As wide as a uniform distribution over the band. What is drifted is time, so that all bands are as wide.
-    drift = WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
-    warped = time_s.copy()
-    rates, starts = 2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS)
-    for rate, phase in zip(rates, starts, strict=True):
-        warped += drift / rate * np.sin(rate * time_s + phase)
-    hum = np.zeros(recording.n_samples)
-    for one in np.flatnonzero(shares > LOWEST_SHARE):
-        hum += np.sqrt(shares[one]) * np.cos(2 * np.pi * frequencies[one] * warped + phases[one])
-    return hum
-
-
 def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold: str) -> Samples:
     """Flatten an envelope softly until the anchor has no higher peaks; at most its root mean square marks the knee."""
     from scipy.optimize import brentq
@@ -203,12 +199,10 @@ ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
 LOWEST_RATE_HZ, HIGHEST_RATE_HZ = (2000, 384_000)  # 1000 Hz can be played, and sound devices run
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
-# The settings of a recipe are records of their own: `settings/meanings.toml` says what each is.
-
 
 @dataclass(frozen=True)
 class RigSettings:
-    """What stimuli are rendered for; `[rig]` of study.toml."""
+    """What stimuli are rendered for; `[rig]` of study.toml. `settings/meanings.toml` says what each is."""
 
     rate_hz: Annotated[float, Interval(ge=LOWEST_RATE_HZ, le=HIGHEST_RATE_HZ)] = 48000.0
     full_scale_m_s2: Annotated[float, Interval(gt=0, le=1e6)] = 100.0
@@ -379,8 +373,7 @@ def check_names(names: Sequence[str]) -> None:
     for name in names:
         if not _NAME.fullmatch(name):
             must = "up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter or digit"
-            got = f"got {name!r}, give it another name"
-            raise ValueError(f"a recording's name must be {must}; {got}")
+            raise ValueError(f"a recording's name must be {must}; got {name!r}, rename it")
         # Some file systems do not distinguish capitals from small letters.
         if name.casefold() in seen:
             raise ValueError(f"recording name {name!r} is there twice; rename one of them")

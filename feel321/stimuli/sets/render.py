@@ -7,7 +7,7 @@ a build remembers what it measured.
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from typing import Any
@@ -30,7 +30,7 @@ from feel321.stimuli.recording import Recording, digest_samples, largest
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import recipe as recipes
 from feel321.stimuli.sets.recipe import ANCHORS, ORIGINAL, Recipe, Unread
-from feel321.stimuli.thresholds import THRESHOLDS, loudest_levels, to_db
+from feel321.stimuli.thresholds import THRESHOLDS, loudest_levels
 from feel321.types import Metric, Reducer, Samples
 
 # A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence.
@@ -218,9 +218,3 @@ class Rendering:
         windowed = match_in_windows(acceleration, samples, rate_hz)
         matches = float(spectral), float(temporal), float(bounded), float(windowed)
         return Measured(peak, levels, *matches, further)
-
-
-def find_headroom_cost(peaks: Mapping[str, float]) -> tuple[str, float]:
-    """Find the recording with the highest peak, and by how many dB a common gain is lower for it."""
-    first, *others = sorted(peaks, key=lambda name: -peaks[name])
-    return first, to_db(peaks[first] / peaks[others[0]]) if others and peaks[others[0]] else 0.0
