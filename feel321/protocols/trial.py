@@ -8,7 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import islice, product
 from math import prod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
+
+from annotated_types import Interval
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,8 +25,9 @@ SURFACE = "surface"  # stands for the id of a stimulus where the real surface is
 ORIGINAL = "original"  # name of the recording itself as a reference
 MATCHING, THRESHOLD = "matching", "threshold"  # protocol, scale and phase of these blocks' trials
 
-DEVICE_FLAGS = ("underrun", "clipped", "device_error", "not_delivered")
-FLAGS = (*DEVICE_FLAGS, "too_fast", "not_felt")  # what can be wrong with an attempt at a trial
+Flag = Literal["underrun", "clipped", "device_error", "not_delivered", "too_fast", "not_felt"]
+FLAGS: tuple[Flag, ...] = get_args(Flag)  # what can be wrong with an attempt at a trial
+DEVICE_FLAGS = FLAGS[:4]
 VALID, LOST, SPOILED = "valid", "lost", "spoiled"
 """What becomes of an attempt. The device lost it, which uses up no attempt of the participant, or they spoiled it."""
 
@@ -164,22 +167,49 @@ class Trials(tuple[Trial, ...]):
         return f"Trials({len(self)} trials of {protocols or 'no protocol'})"
 
 
-@dataclass(frozen=True, slots=True)
-class Flow:
-    """The rules of a session besides its trials, part of the plan; `settings/meanings.toml` says what each is."""
+# The rules of a session besides its trials are settings: `settings/meanings.toml` says what each is.
 
-    break_trials: int | None = 60
-    break_min: float | None = 10.0
-    break_s: float = 30.0
-    rest_s: float = 60.0
-    training_pass: float = 0.75
-    training_rounds: int = 3
-    min_response_s: float = 0.2
-    max_attempts: int = 3
-    reject: tuple[str, ...] = ("underrun", "device_error", "too_fast", "not_felt")
-    gap_s: float = 0.5
-    level_error_db: float | None = 3.0
-    min_coherence: float = 0.3
+AnHour = Annotated[float, Interval(ge=0, le=3600)]
+
+
+@dataclass(frozen=True)
+class Breaks:
+    """When the hand rests; `[session.breaks]` of study.toml."""
+
+    break_trials: Annotated[int, Interval(ge=1, le=10**6)] | None = 60
+    break_min: Annotated[float, Interval(gt=0, le=1440)] | None = 10.0
+    break_s: AnHour = 30.0
+    rest_s: AnHour = 60.0
+
+
+@dataclass(frozen=True)
+class Rounds:
+    """When training has been understood."""
+
+    training_pass: Annotated[float, Interval(ge=0, le=1)] = 0.75
+    training_rounds: Annotated[int, Interval(ge=1, le=100)] = 3
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Which trials are repeated; `[session.quality]` of study.toml."""
+
+    min_response_s: Annotated[float, Interval(ge=0, le=5)] = 0.2
+    max_attempts: Annotated[int, Interval(ge=1, le=100)] = 3
+    reject: tuple[Flag, ...] = ("underrun", "device_error", "too_fast", "not_felt")
+    gap_s: Annotated[float, Interval(ge=0, le=30)] = 0.5
+    level_error_db: Annotated[float, Interval(gt=0, le=1e9)] | None = 3.0
+    min_coherence: Annotated[float, Interval(ge=0, le=1)] = 0.3
+
+    def __post_init__(self) -> None:
+        """Refuse a reason that is named twice."""
+        if len(set(self.reject)) < len(self.reject):
+            raise ValueError(f"reject must hold each name once, got {', '.join(self.reject)}")
+
+
+@dataclass(frozen=True)
+class Flow(Quality, Rounds, Breaks):  # in the plan, breaks come first
+    """The rules of a session besides its trials, part of the plan."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,15 +34,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from feel321.doors import Registry, as_names, check_name, check_rate, describe
 from feel321.extensions import Method, find_method, is_given
 from feel321.names import ANCHOR_NAMES
-from feel321.stimuli.condition import Conditioning, make_plain
+from feel321.stimuli.condition import Conditioning, Seconds, make_plain
 from feel321.stimuli.match import (
     HIGHEST_HZ,
     LOWEST_HZ,
@@ -217,20 +218,51 @@ ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
 """Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for
 each recording with its reductions and reference, so that no spike of one recording weakens the others."""
 
-RIG_RATES_HZ = (2000, 384_000)  # Rates at which 1000 Hz can be played and sound devices run
+RIG_RATES_HZ = LOWEST_RATE_HZ, HIGHEST_RATE_HZ = (
+    2000,
+    384_000,
+)  # 1000 Hz can be played, and sound devices run
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
+# The settings of a recipe are records of their own: `settings/meanings.toml` says what each is.
 
-@dataclass(frozen=True, slots=True)
-class Recipe:
+
+@dataclass(frozen=True)
+class RigSettings:
+    """What stimuli are rendered for; `[rig]` of study.toml."""
+
+    rate_hz: Annotated[float, Interval(ge=LOWEST_RATE_HZ, le=HIGHEST_RATE_HZ)] = 48000.0
+    full_scale_m_s2: Annotated[float, Interval(gt=0, le=1e6)] = 100.0
+    headroom: Annotated[float, Interval(gt=0, le=1)] = 0.9
+
+
+@dataclass(frozen=True)
+class StimulusSettings:
+    """What is made of every recording; `[stimuli]` of study.toml, which takes names only."""
+
+    reducers: Sequence[Any] = DEFAULT_REDUCERS
+    levels: Sequence[str] = ("as_is",)
+    anchors: bool = True
+    reference: Any = ORIGINAL
+    gain: float | str = ONE_GAIN
+    fade_s: Seconds = 0.01
+    threshold: str = CONTACTOR
+    metrics: Sequence[Any] = ()
+    conditioning: Conditioning = field(default_factory=Conditioning)
+
+
+@dataclass(frozen=True)
+class Recipe(StimulusSettings, RigSettings):
     """Settings by which a stimulus set is made from recordings.
 
     Parameters
     ----------
+    rate_hz : float
+        The rig's sampling rate in Hz, a whole number.
     full_scale_m_s2 : float
         Acceleration that the rig gives for a file's full scale, m/s².
-    conditioning : Conditioning
-        Steps before reduction.
+    headroom : float
+        Largest magnitude in a file that an automatic gain gives, as a share of full scale.
     reducers : sequence of str or callable
         Names of `REDUCERS`, or a lab's own, as "mylab.haptics:my321", "methods/my321.py:my321" or functions;
         their short names are kept.
@@ -240,10 +272,6 @@ class Recipe:
         Whether each recording gets a low and a mid anchor.
     reference : str
         The hidden reference: `"original"` (three channels), a reducer's name (for rigs with one axis), or `"none"`.
-    rate_hz : float
-        The rig's sampling rate in Hz, a whole number.
-    headroom : float
-        Largest magnitude in a file that an automatic gain gives, as a share of full scale.
     gain : float or {"set", "per_recording"}
         Physical gain of the `as_is` arm, in m/s² played per m/s² recorded; or what an automatic gain is common to, in
         both arms: the loudest stimulus of the whole set, or of each recording, reaches the headroom.
@@ -253,6 +281,8 @@ class Recipe:
         Detection threshold curve for sensation levels, a name of `THRESHOLDS`.
     metrics : sequence of str or callable
         Further columns of the manifest: names of `METRICS`, or a lab's own; the three matches are always there.
+    conditioning : Conditioning
+        Steps before reduction.
     seed : int
         Random seed of the anchors, beside the names of recording and anchor.
     methods : sequence of Method
@@ -267,18 +297,6 @@ class Recipe:
     ('dft321', 'pca321')
     """
 
-    full_scale_m_s2: float = 100.0
-    conditioning: Conditioning = field(default_factory=Conditioning)
-    reducers: Sequence[Any] = DEFAULT_REDUCERS
-    levels: Sequence[str] = ("as_is",)
-    anchors: bool = True
-    reference: str = ORIGINAL
-    rate_hz: float = 48000.0
-    headroom: float = 0.9
-    gain: float | str = ONE_GAIN
-    fade_s: float = 0.01
-    threshold: str = CONTACTOR
-    metrics: Sequence[Any] = ()
     seed: int = 0
     methods: Sequence[Method] = ()
     exceptions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -300,8 +318,8 @@ class Recipe:
         if not isinstance(self.conditioning, Conditioning):
             got = describe(self.conditioning)
             raise TypeError(f"conditioning must be a Conditioning, got {got}")
-        self._check_numbers()
         check_name(self.threshold, THRESHOLDS, "threshold")
+        self._check_numbers()
 
     def _find_methods(self) -> None:
         """Put short names in the place of the lab's own methods, and keep the methods that are used."""
@@ -309,11 +327,11 @@ class Recipe:
         used: dict[tuple[str, str], Method] = {}
 
         def settle(kind: str, given: Any, ours: Collection[str], *, taken: Collection[str]) -> str:  # noqa: ANN401 - a name or a function
-            own, named = None, isinstance(given, str)
-            if named and (
-                given in ours or not ((own := known.get((kind, given))) or is_given(kind, given))
-            ):
-                return str(given)
+            own = None
+            if isinstance(given, str):
+                own = known.get((kind, given))
+                if given in ours or not (own or is_given(kind, given)):
+                    return given
             method = own or find_method(kind, given, taken=taken)
             used[kind, method.name] = method
             return method.name
@@ -327,17 +345,26 @@ class Recipe:
         own = tuple(name for kind, name in used if kind == "reducer")
         for name in reducers:
             check_name(name, own if name in own else REDUCERS, "reducer")
+        check_name(reference, (*references, *own), "reference")
         found = {"reducers": reducers, "reference": reference, "metrics": metrics}
         for name, value in (found | {"methods": tuple(used.values())}).items():
             object.__setattr__(self, name, value)
-        check_name(reference, (*references, *own), "reference")
 
     def _check_numbers(self) -> None:
-        low, high = RIG_RATES_HZ
-        whole = check_rate(self.rate_hz) == int(self.rate_hz) and low <= self.rate_hz <= high
         check_rate(self.full_scale_m_s2, "full_scale_m_s2", " of m/s^2")
-        number = not isinstance(self.gain, str | bool) and 0 < self.gain < float("inf")
+        low, high = RIG_RATES_HZ
+        is_rate = check_rate(self.rate_hz) == int(self.rate_hz) and low <= self.rate_hz <= high
+        is_number = not isinstance(self.gain, str | bool) and 0 < self.gain < float("inf")
         gains = "a finite number above 0, 'set' or 'per_recording'"
+        rules = {
+            "rate_hz": (is_rate, f"a whole number of Hz from {low} to {high}"),
+            "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
+            "gain": (is_number or self.gain in GAINS, gains),
+            "fade_s": (0 <= self.fade_s < float("inf"), "0 s or more"),
+        }
+        for name, (is_right, must) in rules.items():
+            if not is_right:
+                raise ValueError(f"{name} must be {must}, got {getattr(self, name)!r}")
         for recording, own in self.exceptions.items():
             try:
                 find_conditioning(self, recording)
@@ -346,15 +373,6 @@ class Recipe:
             if not 0 < own.get("gain", 1.0) < float("inf"):
                 got = f"got {own['gain']}"
                 raise ValueError(f"gain of {recording} must be a finite number above 0, {got}")
-        rules = {
-            "rate_hz": (whole, f"a whole number of Hz from {low} to {high}"),
-            "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
-            "gain": (number or self.gain in GAINS, gains),
-            "fade_s": (0 <= self.fade_s < float("inf"), "0 s or more"),
-        }
-        for name, (is_right, must) in rules.items():
-            if not is_right:
-                raise ValueError(f"{name} must be {must}, got {getattr(self, name)!r}")
 
 
 def find_conditioning(recipe: Recipe, recording: str) -> Conditioning:

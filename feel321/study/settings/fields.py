@@ -31,10 +31,22 @@ MOST = 1e9
 """Beyond this no setting means anything, whatever its unit; what costs time or memory has a ceiling of its own."""
 
 
+OTHER_NAMES = {
+    "break_trials": "every_trials", "break_min": "every_min",
+    "training_pass": "pass_share", "training_rounds": "rounds",
+}  # fmt: skip
+"""Fields of records that the plan names otherwise than `study.toml`, and their names there."""
+
+
+def name_setting(name: str) -> str:
+    """Name a field of a table as TOML does."""
+    return OTHER_NAMES.get(name, name)
+
+
 class TomlTable(BaseModel):
     """A table of a TOML file: no unknown keys, no guessing of types, no changes after reading."""
 
-    model_config = {"extra": "forbid", "frozen": True}
+    model_config = {"extra": "forbid", "frozen": True, "alias_generator": name_setting}
 
 
 def word_choice(name: str, names: Collection[str]) -> str:
@@ -129,7 +141,7 @@ def list_fields(table: Any) -> dict[str, FieldInfo]:  # noqa: ANN401 - a model, 
         return dict(table.model_fields)
     defaults = table.__dataclass_fields__ if is_dataclass(table) else table._field_defaults
     return {
-        name: FieldInfo.from_annotated_attribute(hint, defaults[name])
+        name_setting(name): FieldInfo.from_annotated_attribute(hint, defaults[name])
         for name, hint in get_type_hints(table, include_extras=True).items()
     }
 

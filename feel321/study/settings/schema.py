@@ -6,12 +6,15 @@ Names of reducers, scenes, protocols, levels, units and languages are those of t
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass, fields
 from pathlib import Path, PurePath
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from feel321 import intake
+from feel321.doors import name_of
+from feel321.names import ANCHOR_NAMES, NO_NUMBER, PaperClaim, Provenance
 from feel321.protocols import texts
 from feel321.protocols.order import ORDERS, TASK_ORDERS
 from feel321.protocols.tasks import make_task
@@ -23,29 +26,34 @@ from feel321.protocols.threshold import (
     ThresholdPlan,
     name_tone,
 )
-from feel321.protocols.trial import CHOOSING, FLAGS, Flow, Task
-from feel321.stimuli.condition import Conditioning
+from feel321.protocols.trial import CHOOSING, Breaks, Quality, Rounds, Task
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
-from feel321.stimuli.sets.recipe import GAINS, LEVELS, NO_REFERENCE, ORIGINAL, Recipe, check_names
+from feel321.stimuli.sets.recipe import (
+    GAINS,
+    LEVELS,
+    NO_REFERENCE,
+    ONE_GAIN,
+    ORIGINAL,
+    RigSettings,
+    StimulusSettings,
+    check_names,
+)
 from feel321.stimuli.synthesis import SCENES
-from feel321.stimuli.thresholds import THRESHOLDS
+from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.own_protocols import OURS, name_protocols
 from feel321.study.session.plan import Stale
 from feel321.study.settings import fields as kinds
-from feel321.study.settings.about import ObserverTable, PaperTable, PublicationTable
 
-_FLOW, _RECIPE, _BLOCK = Flow(), Recipe(), ThresholdBlock("bayesian", (), USUAL)
-"""What the floors below do where nothing is asked for: their defaults are the study's."""
+_BLOCK = ThresholdBlock("bayesian", (), USUAL)  # whose defaults are the study's
 
 LANGUAGE_FILE = ".toml"  # how the name of a lab's own file of texts ends
 
 Level = Annotated[float, Field(ge=-120, le=60)]
 LevelName = Annotated[str, kinds.one_of(LEVELS)]
 UpTo100 = Annotated[kinds.Count, Field(le=100)]
-UpToAnHour = Annotated[kinds.NotNegative, Field(le=3600)]
 Label = Annotated[str, AfterValidator(texts.check_label)]
 
 
@@ -154,32 +162,28 @@ def _check_gain(gain: float | str) -> float | str:
     return gain
 
 
-class StimuliTable(kinds.TomlTable):
+@dataclass(frozen=True)
+class StimuliTable(StimulusSettings):
     """`[stimuli]`: what is made of each recording."""
 
     reducers: Annotated[tuple[OwnReducer, ...], kinds.Some] = DEFAULT_REDUCERS
-    levels: Annotated[tuple[LevelName, ...], kinds.Some] = tuple(_RECIPE.levels)
-    anchors: bool = _RECIPE.anchors
-    reference: Annotated[str, Reference] = _RECIPE.reference
-    gain: Annotated[float | str, AfterValidator(_check_gain)] = _RECIPE.gain
-    fade_s: kinds.Seconds = _RECIPE.fade_s
-    threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = _RECIPE.threshold
-    below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
+    levels: Annotated[tuple[LevelName, ...], kinds.Some] = (LEVELS[0],)
+    reference: Annotated[str, Reference] = ORIGINAL
+    gain: Annotated[float | str, AfterValidator(_check_gain)] = ONE_GAIN
+    threshold: Annotated[str, kinds.one_of(THRESHOLDS)] = CONTACTOR
     metrics: Annotated[tuple[kinds.Words, ...], kinds.Distinct] = ()
-    conditioning: Conditioning = Conditioning()
+    below_threshold: Annotated[str, kinds.one_of(BELOW_THRESHOLD)] = "refuse"
 
 
-class RigTable(kinds.TomlTable):
+@dataclass(frozen=True)
+class RigTable(RigSettings):
     """`[rig]`: what the stimuli are rendered for."""
 
-    rate_hz: kinds.Rate = _RECIPE.rate_hz
-    full_scale_m_s2: Annotated[kinds.Positive, Field(le=1e6)] = _RECIPE.full_scale_m_s2
-    headroom: Annotated[float, Field(gt=0, le=1)] = _RECIPE.headroom
     certificate: Annotated[str, kinds.one_of(("warn", "require"))] = "warn"
 
     def of_stimuli(self) -> dict[str, Any]:
         """Return what decides what the stimuli are."""
-        return self.model_dump(exclude={"certificate"})
+        return {one.name: getattr(self, one.name) for one in fields(RigSettings)}
 
 
 class MethodTable(kinds.TomlTable):
@@ -219,35 +223,12 @@ class MetricTable(MethodTable):
         return self
 
 
-class RehearsalTable(kinds.TomlTable):
+@dataclass(frozen=True)
+class Rehearsal(Rounds):
     """`[session.rehearsal]`: what comes before the trials that count."""
 
     training: UpTo100 = 4
     practice: UpTo100 = 2
-    pass_share: kinds.Share = _FLOW.training_pass
-    rounds: Annotated[int, Field(ge=1, le=100)] = _FLOW.training_rounds
-
-
-class BreaksTable(kinds.TomlTable):
-    """`[session.breaks]`: when the hand rests."""
-
-    every_trials: kinds.AtLeastOne | None = _FLOW.break_trials
-    every_min: Annotated[kinds.Positive, Field(le=1440)] | None = _FLOW.break_min
-    break_s: UpToAnHour = _FLOW.break_s
-    rest_s: UpToAnHour = _FLOW.rest_s
-
-
-class QualityTable(kinds.TomlTable):
-    """`[session.quality]`: which trials are repeated."""
-
-    min_response_s: Annotated[kinds.NotNegative, Field(le=5)] = _FLOW.min_response_s
-    max_attempts: Annotated[int, Field(ge=1, le=100)] = _FLOW.max_attempts
-    reject: Annotated[tuple[Annotated[str, kinds.one_of(FLAGS)], ...], kinds.Distinct] = (
-        _FLOW.reject
-    )
-    gap_s: Annotated[kinds.NotNegative, Field(le=30)] = _FLOW.gap_s
-    level_error_db: kinds.Positive | None = _FLOW.level_error_db
-    min_coherence: kinds.Share = _FLOW.min_coherence
 
 
 class ThresholdTable(kinds.TomlTable):
@@ -316,9 +297,9 @@ class SessionTable(kinds.TomlTable):
     language: Annotated[str, AfterValidator(_check_language)] = "en"
     consent: kinds.Words | None = None
     lsl: bool = False
-    rehearsal: RehearsalTable = RehearsalTable()
-    breaks: BreaksTable = BreaksTable()
-    quality: QualityTable = QualityTable()
+    rehearsal: Rehearsal = Rehearsal()
+    breaks: Breaks = Breaks()
+    quality: Quality = Quality()
     stale: Stale = Stale()
     threshold: ThresholdTable | None = None
     matching: MatchingTable | None = None
@@ -426,6 +407,136 @@ class AnalysisTable(kinds.TomlTable):
     hypotheses: tuple[kinds.Words, ...] = ()
 
 
+# What is besides the study itself: simulated participants, the paper that is replicated, the publication.
+
+
+def _check_terms(terms: dict[str, float], info: ValidationInfo) -> dict[str, float]:
+    """Demand reducers as the manifest names them; without a whole file, a lab's own are not known."""
+    if info.context is None:
+        return terms
+    stimuli, own = (info.context.get(table) for table in ("stimuli", "reducers"))
+    felt = stimuli.get("reducers") if isinstance(stimuli, dict) else ()
+    known = [*REDUCERS, *ANCHOR_NAMES, *(own if isinstance(own, dict) else ())]
+    known += [name_of(name) for name in felt or () if isinstance(name, str)]
+    for name in terms:
+        kinds.check_one_of(name, known)
+    return terms
+
+
+class ObserverTable(kinds.TomlTable):
+    """`[observer]`: how simulated participants feel and differ."""
+
+    intercept: kinds.Finite = 10.0
+    spectral: kinds.Finite = 45.0
+    temporal: kinds.Finite = 35.0
+    reducers: Annotated[dict[str, kinds.Finite], AfterValidator(_check_terms)] = Field(
+        default_factory=dict
+    )
+    bias_sd: kinds.NotNegative = 6.0
+    gain_sd: kinds.NotNegative = 0.15
+    slope_sd: kinds.NotNegative = 0.0
+    noise_sd: kinds.NotNegative = 8.0
+    noise_spread: kinds.NotNegative = 0.25
+    lapse_rate: kinds.Share = 0.0
+    detection_sd: kinds.NotNegative = 4.0
+    detection_slope: kinds.Positive = 3.0
+    matching_sd: kinds.NotNegative = 1.0
+    straight_liners: kinds.Share = 0.0
+    random_clickers: kinds.Share = 0.0
+    scale_reversers: kinds.Share = 0.0
+
+    @model_validator(mode="after")
+    def _check_shares(self) -> Self:
+        bad = self.straight_liners + self.random_clickers + self.scale_reversers
+        if bad > 1 + 1e-9:
+            raise ValueError(
+                f"straight_liners, random_clickers, scale_reversers must be at most 1 together, got {bad:g}"
+            )
+        return self
+
+
+class PublishedTable(kinds.TomlTable):
+    """`[[paper.published]]`: numbers of a metric that the paper gives for one of its recordings."""
+
+    table: kinds.Words
+    source: Provenance
+    recording: kinds.Words
+    shown: kinds.Words = "a recording of the paper"
+    metric: kinds.Words
+    numbers: Annotated[dict[str, kinds.Finite], Field(min_length=1)]
+
+
+class PaperTable(kinds.TomlTable):
+    """`[paper]`: the paper that is replicated."""
+
+    citation: kinds.Words
+    doi: kinds.Words
+    seen: Literal["full text", "abstract"]
+    claims: tuple[PaperClaim, ...] = ()
+    published: tuple[PublishedTable, ...] = ()
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        kinds.check_distinct(tuple(claim.name for claim in self.claims))
+        for claim in self.claims:
+            if claim.paper is not NO_NUMBER and all(map(math.isnan, claim.paper)):
+                needs = "paper must have a value, or low and high, got none"
+                raise ValueError(f"claim {claim.name!r}: {needs}; add them, or leave it out")
+        given = [(one, reducer) for one in self.published for reducer in one.numbers]
+        kinds.check_distinct(
+            tuple(f"{one.recording}, {one.metric}, {reducer}" for one, reducer in given)
+        )
+        return self
+
+
+# What an export says of the study besides its data.
+
+LICENCES = (  # SPDX names of the licences that data are published under
+    "CC0-1.0", "CC-BY-4.0", "CC-BY-SA-4.0", "CC-BY-NC-4.0", "CC-BY-NC-SA-4.0", "CC-BY-ND-4.0", "CC-BY-NC-ND-4.0",
+    "PDDL-1.0", "ODC-By-1.0", "ODbL-1.0", "CDLA-Permissive-2.0", "CDLA-Sharing-1.0",
+)  # fmt: skip
+
+_ORCID = kinds.like(
+    r"(?:https://orcid\.org/)?(\d{4}-\d{4}-\d{4}-\d{3}[\dX])",
+    "an ORCID iD such as '0000-0002-1825-0097'",
+)
+_DOI = kinds.like(
+    r"(?:https://doi\.org/|doi:)?(10\.\d{4,9}/\S+)", "a DOI such as '10.5281/zenodo.123456'"
+)
+_DAY = kinds.like(
+    r"(\d{4}-(?:0[1-9]|1[0-2])-(?:0[1-9]|[12]\d|3[01]))", "a day such as '2026-11-23'"
+)
+
+
+class AuthorTable(kinds.TomlTable):
+    """`[[publication.authors]]`: somebody who made the study."""
+
+    given: kinds.Words
+    family: kinds.Words
+    orcid: Annotated[str, _ORCID] | None = None
+    affiliation: kinds.Words | None = None
+
+
+class PublicationTable(kinds.TomlTable):
+    """`[publication]`: what an export says of the study besides its data."""
+
+    title: kinds.Words | None = None
+    description: kinds.Words | None = None
+    version: kinds.Words = "1.0.0"
+    released: Annotated[str, _DAY] | None = None
+    licence: Annotated[str, kinds.one_of(LICENCES)] | None = None
+    authors: tuple[AuthorTable, ...] = ()
+    institution: kinds.Words | None = None
+    department: kinds.Words | None = None
+    address: kinds.Words | None = None
+    ethics: tuple[kinds.Words, ...] = ()
+    funding: tuple[kinds.Words, ...] = ()
+    acknowledgements: kinds.Words | None = None
+    keywords: tuple[kinds.Words, ...] = ()
+    references: tuple[kinds.Words, ...] = ()
+    doi: Annotated[str, _DOI] | None = None
+
+
 class Settings(kinds.TomlTable):
     """The whole of `study.toml`."""
 
@@ -451,6 +562,7 @@ class Settings(kinds.TomlTable):
 
     def list_tasks(self) -> tuple[Task, ...]:
         """List the tasks of a session."""
-        rounds = self.session.rehearsal.model_dump(include={"training", "practice"})
+        counts = self.session.rehearsal
+        rounds = {"training": counts.training, "practice": counts.practice}
         tables = {name: self.tasks.get(name, TaskTable()) for name in self.session.protocols}
         return tuple(table.make_task(name, **rounds) for name, table in tables.items())
