@@ -199,7 +199,9 @@ def match_rotations(
     original = OriginalSpectrum(samples, rate_hz)
     found = np.empty((len(reduce), 3, len(turns)))
     per_batch = max(2, _SAMPLES_AT_A_TIME // samples.size)
-    kept: dict[int, Samples] = {}  # outputs that turning the sensor only negates: reduced once, which scores alike
+    kept: dict[
+        int, Samples
+    ] = {}  # outputs that turning the sensor only negates: reduced once, which scores alike
     for start in range(0, len(turns), per_batch):
         few = turns[start : start + per_batch]
         turned = np.einsum("rij,jn->rin", few, samples)
