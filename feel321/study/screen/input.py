@@ -1,16 +1,24 @@
-"""What is on the screen in one frame, and what keys and clicks mean for the answer that stands there."""
+"""What is on the screen in one frame, and what keys and clicks mean for the answer that stands there.
 
-from collections.abc import Mapping, Sequence
+Also a simulated participant before a real screen, who presses the keys that a person would.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from math import copysign
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.protocols.texts import Answer as QuestionAnswer
-from feel321.protocols.trial import RATING_RANGE, Page, Part, Scale, Trial
+from feel321.protocols.trial import MATCHING, RATING_RANGE, Page, Part, Scale, Trial
 from feel321.study.keys import PLAY, USUAL, KeysTable, label_key, label_texts
 from feel321.study.screen.sheet import Target
-from feel321.study.session.ports import Felt, Move, Place
+from feel321.study.session.ports import Feel, Felt, Move, Place
+
+if TYPE_CHECKING:
+    from feel321.study.observer import Participant
 
 LAST_PAGE = "end"  # the page after which there is nothing
 LOOP = "⟳"
@@ -35,12 +43,10 @@ class InputEvent:
     y: float = 0.0
 
 
-class Request(NamedTuple):
-    """What the participant wants to be done, by key or by mouse."""
+class Stop(NamedTuple):
+    """The participant wants what plays to fall silent."""
 
-    name: str
     time_s: float
-    part: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,23 +74,20 @@ class View:
     sample: str = ""
 
     @property
+    def unfelt(self) -> list[str]:
+        """The parts of a trial that were not felt to their end."""
+        parts = self.trial.parts if self.trial else ()
+        return [part.name for part in parts if part.name not in self.felt]
+
+    @property
     def can_answer(self) -> bool:
         """Whether the answer can be changed: once all was felt, or at once where parts are felt at will."""
-        if self.trial is None:
-            return False
-        has_felt_all = self.felt.issuperset(part.name for part in self.trial.parts)
-        return self.state == "answering" or self.trial.timing == "free" or has_felt_all
+        is_open = self.state == "answering" or not self.unfelt
+        return self.trial is not None and (is_open or self.trial.timing == "free")
 
     def can_rate(self, part: str) -> bool:
         """Whether a part's own marker can be moved: where each part has one, once it was felt to its end."""
         return self.can_answer and (self.kind != "rows" or part in self.felt)
-
-    @property
-    def is_done(self) -> bool:
-        """Whether all of a trial was felt and all is answered."""
-        if self.trial is None or not self.felt.issuperset(one.name for one in self.trial.parts):
-            return False
-        return bool(self.chosen) or self.markers.keys() >= set(self.trial.judged)
 
     @property
     def can_leave(self) -> bool:
@@ -119,13 +122,6 @@ class ScreenTexts:
         """Find the word for a part."""
         return self.parts.get(name, name)
 
-    def explain(self, reason: str, parts: Sequence[str], trial: Trial | None) -> str:
-        """Explain why an act was not accepted; where there are several scales, they are numbered."""
-        has_scales = trial is not None and any(judgement.scale for judgement in trial.judgements)
-        if trial is not None and has_scales and reason == "not_answered":
-            parts = [str(trial.judged.index(part) + 1) for part in parts]
-        return self.refusals[reason].format(parts=", ".join(map(self.name_part, parts)))
-
 
 def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> ScreenTexts:
     """Pick the screen's texts from those of a language, with the names of the lab's own keys."""
@@ -140,22 +136,13 @@ def make_screen_texts(tables: Mapping[str, Any], keys: KeysTable = USUAL) -> Scr
 # The answer to a trial while the participant works on it.
 
 DELAY_S = 0.4  # how long a key is held before it repeats
-SPEEDS = ((0.0, 25.0), (1.0, 60.0))  # repeats per s, from when on: 100 points take 2.25 s
-COARSE_SPEEDS = ((0.0, 6.0),)  # repeats per s of keys that move far
+SPEED, LATER_SPEED, FAR_SPEED = 25.0, 60.0, 6.0  # repeats per s: 100 points take 2.25 s
 DIGITS_S = 0.8  # how long a number that could go on waits for its next digit
 REST_S = 0.25  # how long a marker stands still before it has come to rest
 
 FIRST = 50.0
 """Where the first arrow makes a marker appear; there is none before, so nobody can leave it where it happens to be. An
 end would anchor, the middle favours neither answer."""
-
-
-def count_repeats(held_s: float, speeds: tuple[tuple[float, float], ...] = SPEEDS) -> int:
-    """Count how often a key has repeated."""
-    since_s = held_s - DELAY_S + 1e-9
-    ends = (*(start for start, _ in speeds[1:]), float("inf"))
-    parts = zip(speeds, ends, strict=True)
-    return int(sum(max(0.0, min(since_s, end) - start) * speed for (start, speed), end in parts))
 
 
 class Answer:
@@ -186,7 +173,7 @@ class Answer:
         rested = [part for part, moved_s in self._restless.items() if time_s - moved_s >= rest_s]
         return [Move(self._restless.pop(part), part, self.markers[part]) for part in rested]
 
-    def take(self, event: InputEvent, target: Target | None, *, can_answer: bool) -> Request | None:
+    def take(self, event: InputEvent, target: Target | None, *, can_answer: bool) -> Feel | None:
         """Do what an event asks for, as far as it is about the answer."""
         match event.kind:
             case "press":
@@ -204,9 +191,11 @@ class Answer:
     def tick(self, time_s: float, *, can_answer: bool) -> None:
         """Let time pass: the key that went down last repeats while it is held, typed digits become a value."""
         if self._held:
-            speeds = COARSE_SPEEDS if self._held in FAR else SPEEDS
-            before, self._repeats = self._repeats, count_repeats(time_s - self._held_s, speeds)
-            for _ in range(self._repeats - before if can_answer else 0):
+            since_s = max(0.0, time_s - self._held_s - DELAY_S + 1e-9)
+            steady = SPEED * min(since_s, 1.0) + LATER_SPEED * max(since_s - 1.0, 0.0)
+            repeats = int(FAR_SPEED * since_s if self._held in FAR else steady)
+            before, self._repeats = self._repeats, repeats
+            for _ in range(repeats - before if can_answer else 0):
                 self._step(self._held, time_s)
         if time_s - self._typed_s >= DIGITS_S:
             self.finish_typing(time_s)
@@ -227,15 +216,14 @@ class Answer:
         self.selected = still[0] if still else self.selected
         return bool(still)
 
-    def _press(self, key: str, time_s: float, *, can_answer: bool) -> Request | None:
+    def _press(self, key: str, time_s: float, *, can_answer: bool) -> Feel | None:
         action = self._keys.name_action(key)
         if action == "again":
             return self._feel(time_s)
         if action == "reference" or action.startswith(PLAY):
-            others = [part for part in self._parts if part != "reference"]
+            others = ["reference", *(part for part in self._parts if part != "reference")]
             number = int(action.removeprefix(PLAY)) if action.startswith(PLAY) else 0
-            known = 0 < number <= len(others)
-            return self._feel(time_s, others[number - 1] if known else str(number or action))
+            return self._feel(time_s, others[number] if number < len(others) else str(number))
         if action == "loop" and self.kind == "rows":
             self.loops = not self.loops
         if can_answer:
@@ -251,25 +239,23 @@ class Answer:
                     self.finish_typing(time_s)
         return None
 
-    def _click(self, event: InputEvent, target: Target | None) -> Request | None:
-        self._dragged = target if target and target.name == "mark" else None
-        match target.name if target else "":
-            case "feel" if target:
-                return self._feel(event.time_s, target.part)
-            case "again":
-                return self._feel(event.time_s)
-            case "choose" if target:
-                self.chosen = target.part
-            case "mark" if target:
-                self.typed = ""  # What was typed before does not take the marker back.
-                self._set(target.part, target.find_points(event.x), event.time_s)
+    def _click(self, event: InputEvent, target: Target | None) -> Feel | None:
+        name, part = (target.name, target.part) if target else ("", "")
+        self._dragged = target if name == "mark" else None
+        if name in {"feel", "again"}:
+            return self._feel(event.time_s, part)
+        if name == "choose":
+            self.chosen = part
+        elif self._dragged:
+            self.typed = ""  # What was typed before does not take the marker back.
+            self._set(part, self._dragged.find_points(event.x), event.time_s)
         return None
 
-    def _feel(self, time_s: float, part: str = "") -> Request:
+    def _feel(self, time_s: float, part: str = "") -> Feel:
         """Feel one part, and let the keys move its marker if it has one; without one, feel again."""
         if self.kind == "rows" and part in self.rated:
             self.selected = part
-        return Request("feel", time_s, part or (self.selected if self.kind == "rows" else ""))
+        return Feel(time_s, part or (self.selected if self.kind == "rows" else ""))
 
     def _step(self, action: str, time_s: float) -> None:
         """Move the marker, the row or the choice by one step."""
@@ -316,12 +302,10 @@ class Form:
         if self.question.choices:
             return self.question.choices[int(self.chosen)] if self.chosen else None
         text = self.typed.strip()
-        if self.question.kind == "text" or not text:
-            return text or None
-        try:
-            return float(text.replace(",", "."))
-        except ValueError:
-            return text
+        if self.question.kind == "number":
+            with suppress(ValueError):
+                return float(text.replace(",", "."))
+        return text or None
 
     def check(self) -> tuple[str, dict[str, float | str]]:
         """Check the answer: what is wrong with it, and what it is by the name of the question."""
@@ -345,8 +329,7 @@ class Form:
         elif event.kind == "text" and event.key == BACKSPACE:
             self.typed = self.typed[:-1]
         elif event.kind == "text" and last < 0:
-            letters = [one for one in event.key if one.isprintable()]
-            letters = [one for one in letters if not is_number or one in NUMBER_SIGNS]
+            letters = filter(NUMBER_SIGNS.__contains__ if is_number else str.isprintable, event.key)
             most = MOST_DIGITS if is_number else MOST_LETTERS
             self.typed = (self.typed + "".join(letters))[:most]
         elif event.kind == "press" and last >= 0:
@@ -358,3 +341,100 @@ class Form:
             elif step:
                 place = (0 if step > 0 else last) if not self.chosen else int(self.chosen) + step
                 self.chosen = str(min(max(place, 0), last))
+
+
+RETRY_S, RETRIES = 2.0, 15  # pause before a failed device is tried again, and how often that is
+THINKING_S = 0.3  # before the first key; answers in less than 0.2 s would count as too fast
+TYPED = "text:"  # what an act begins with that types what follows
+
+
+class PressingHand(Hand):
+    """A simulated participant: what is on the screen alone decides which key comes next; clock: of the session, in s.
+
+    The answers are those of `observer`, so that the same person gives the same ratings (in whole points) here as in
+    `feel321 simulate`.
+    """
+
+    def __init__(
+        self, mind: "Participant", *, clock: Callable[[], float], keys: KeysTable = USUAL
+    ) -> None:
+        self._mind, self._clock, self._keys = mind, clock, keys
+        self._task, self._since_s, self._retries = (-1, ""), 0.0, 0
+        self._values: Mapping[str, float | str] = {}
+        self._seen: Mapping[str, float] = {}
+        self._felt: Mapping[str, float] = {}
+
+    def watch(self, view: View) -> Sequence[InputEvent]:
+        """Look at what is on the screen, and press and release a key."""
+        time_s, self._seen = self._clock(), view.markers
+        if view.screen != self._task[0] and view.trial is not None:
+            self._values = {}
+            self._mind.begin(view.trial)
+        if (task := (view.screen, view.state)) != self._task:
+            self._task, self._since_s = task, time_s
+        wait_s = RETRY_S if view.page is not None and view.page.key == "call_us" else THINKING_S
+        if time_s - self._since_s < wait_s or not (act := self._choose_act(view)):
+            return ()
+        if act.startswith(TYPED):
+            return (InputEvent("text", time_s, act.removeprefix(TYPED)),)
+        key = self._keys.find_key(act) or act
+        return InputEvent("press", time_s, key), InputEvent("release", time_s, key)
+
+    def feel(self, part: Part, stimulus: Felt | None) -> None:
+        """Feel what is played; None is the real surface."""
+        self._felt = self._seen
+        self._mind.feel(part, stimulus)
+
+    def _choose_act(self, view: View) -> str:
+        """Choose what to do next: an action, or what to type; empty to wait."""
+        if (question := view.question) is not None:
+            value, _ = self._mind.answer_question(question, occasion=view.place.attempt)
+            if question.choices:
+                chosen, target = int(view.chosen or -1), question.choices.index(value)
+                return "next" if chosen == target else "down" if chosen < target else "up"
+            text = f"{value:g}" if isinstance(value, float) else str(value)
+            return ENTER if view.typed == text else f"{TYPED}{BACKSPACE if view.typed else text}"
+        if view.state == "reading" and view.page is not None and not view.left_s:
+            if view.page.key == "call_us":
+                self._retries += 1
+                return "pause" if self._retries > RETRIES else "experimenter"
+            return "experimenter" if view.page.by == "experimenter" else "next"
+        if view.state == "answering" and view.trial is not None:
+            return self._answer(view, view.trial)
+        return "next" if view.state == "stroking" else ""
+
+    def _answer(self, view: View, trial: Trial) -> str:
+        """Feel what was not felt, answer what was not answered, confirm."""
+        if unfelt := view.unfelt:
+            # Its own key where parts are felt at will, elsewhere all are felt again.
+            action = f"{PLAY}{unfelt[0]}" if unfelt[0].isdigit() else "reference"
+            has_key = bool(self._keys.find_key(action))
+            if view.kind != "rows" or (view.selected == unfelt[0] and not has_key):
+                return "again"
+            return action if has_key else _go_to_row(view, unfelt[0])
+        if not self._values and view.scale is not None:
+            self._values, _ = self._mind.answer(view.scale, view.place)
+        for key, value in self._values.items():
+            if isinstance(value, str) and view.scale is not None and view.chosen != value:
+                return "left" if value == view.scale.choices[0] else "right"
+            if not isinstance(value, str) and view.markers.get(key) != round(value):
+                return _move_marker(view, key, round(value))
+        # After a marker was moved, it is another vibration.
+        return "again" if trial.protocol == MATCHING and self._felt != view.markers else "next"
+
+
+def _move_marker(view: View, part: str, target: int) -> str:
+    if view.kind in LISTS and view.selected != part:
+        return _go_to_row(view, part)
+    if (marker := view.markers.get(part)) is None:
+        return "right"  # Where the first key puts a marker is the screen's business.
+    apart = target - marker
+    steps = {action: copysign(1, apart) * step for action, step in MOVES.items()}
+    near = (action for action in steps if 0 < steps[action] <= abs(apart))
+    return max(near, key=steps.__getitem__, default="")
+
+
+def _go_to_row(view: View, part: str) -> str:
+    rows = view.trial.judged if view.trial else []
+    is_above = view.selected in rows and rows.index(part) < rows.index(view.selected)
+    return "up" if is_above else "down"

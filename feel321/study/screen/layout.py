@@ -11,10 +11,9 @@ from feel321.study.screen.input import LOOP, ScreenTexts, View
 from feel321.study.screen.sheet import GROUND, INK, Box, Button, Photo, Sheet, Target, split_key
 from feel321.study.session.ports import Place
 
-COLUMN = 108.0  # width of texts and options, in units: some 65 letters
+COLUMN, FIELD = 108.0, 40.0  # widths in units: of texts (some 65 letters), of a number's field
 TEXT_SIZES = (1.1 * ui.BODY, ui.BODY, ui.SMALL)  # of a page; less is illegible at 1 m
 CHOSEN, OPEN, FELT = "●", "○", "✓"  # colour alone must not tell them apart
-FIELD = 40.0  # width of the field of a number, in units
 ROW, POINT = 6.6, 15.0  # heights of an option or a row, and of a Likert point, in units
 POINT_LINES, QUESTION_LINES, LABEL_LINES = 3, 3, 2  # most lines of each
 ENDS = 2  # words of a Likert item that names no other point
@@ -44,7 +43,7 @@ def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
     if place.done > 0 or (view.trial is not None and view.trial.phase == "main"):
         bar, share = Box(0, 0, sheet.width, 0.8 * unit), place.done / max(place.total, 1)
         sheet.fill(bar, ui.PANEL)
-        sheet.fill(Box(0, 0, max(sheet.width * share, 1.0), bar.height), ui.LINE)
+        sheet.fill(bar._replace(width=max(sheet.width * share, 1.0)), ui.LINE)
         words = texts.prompts["trial"].format(done=place.done, total=place.total)
         sheet.write(sheet.find_strip("top"), words, ui.SMALL, color=ui.DIM, align="right")
     if view.notice:
@@ -53,7 +52,7 @@ def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
         height = sheet.find_height(len(lines), ui.BODY)
         mark = Box(strip.left, strip.top + strip.height / 2 - height / 2, 0.8 * unit, height)
         sheet.fill(mark, ui.ORANGE)
-        box = Box(mark.right + 2 * unit, mark.top, strip.width - 4 * unit, height)
+        box = mark._replace(left=mark.right + 2 * unit, width=strip.width - 4 * unit)
         sheet.write(box, lines, ui.BODY, color=ui.ORANGE, bold=True)
     if view.question is not None:
         _add_question(sheet, view, view.question, texts=texts)
@@ -64,30 +63,28 @@ def compose(view: View, texts: ScreenTexts, *, size: tuple[int, int]) -> Sheet:
     return sheet
 
 
-# Pages to read, and to answer.
-
-
 def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> None:
     """Set title and text as a column, smaller where it is long, over the buttons and what to press."""
-    text, body, column = texts.pages[page.key], sheet.find_strip("body"), _find_column(sheet)
+    text, column = texts.pages[page.key], sheet.find_strip("body", width=COLUMN)
     # Not by `format`: a lab's own consent may hold braces of its own.
     words = text["text"].replace("{answered}", str(view.place.answered))
     paragraphs = words.replace("{total}", str(view.place.total)).strip().splitlines()
     heading = sheet.wrap(text["title"], column.width, ui.TITLE, bold=True)
-    title_height = sheet.find_height(len(heading), ui.TITLE)
     for size in TEXT_SIZES:
-        blocks = [sheet.wrap(paragraph, column.width, size) for paragraph in paragraphs]
+        gap, blocks = (
+            0.73 * size * sheet.unit,
+            [sheet.wrap(p, column.width, size) for p in paragraphs],
+        )
         heights = [sheet.find_height(len(block), size) for block in blocks]
-        gap = 0.73 * size * sheet.unit
-        height = title_height + sum(gap + block for block in heights)
-        if height <= body.height:
+        heights.insert(0, sheet.find_height(len(heading), ui.TITLE))
+        height = sum(heights) + gap * len(blocks)
+        if height <= column.height:
             break
-    top = _find_top(sheet, height)
-    sheet.write(column._replace(top=top), heading, ui.TITLE, bold=True)
-    top += title_height + gap
-    for block, block_height in zip(blocks, heights, strict=True):
-        sheet.write(column._replace(top=top), block, size)
-        top += block_height + gap
+    column = column._replace(top=_find_top(sheet, height))
+    sheet.write(column, heading, ui.TITLE, bold=True)
+    for block, above in zip(blocks, heights, strict=False):
+        column = column._replace(top=column.top + above + gap)
+        sheet.write(column, block, size)
     leave = [Button(texts.keys["leave"], "pause")] if view.can_leave else []
     if page.by == "experimenter":
         strip, words = sheet.find_strip("buttons"), texts.prompts["experimenter"]
@@ -106,12 +103,6 @@ def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
     sheet.add_buttons(leave, [go_on])
 
 
-def _find_column(sheet: Sheet) -> Box:
-    body = sheet.find_strip("body")
-    width = min(COLUMN * sheet.unit, body.width)
-    return Box((sheet.width - width) / 2, body.top, width)
-
-
 def _find_top(sheet: Sheet, height: float) -> float:
     """Find where what is so high begins, and note what is too high."""
     body = sheet.find_strip("body")
@@ -121,20 +112,21 @@ def _find_top(sheet: Sheet, height: float) -> float:
 
 
 def _add_question(sheet: Sheet, view: View, question: Question, *, texts: ScreenTexts) -> None:
-    body, unit, column = sheet.find_strip("body"), sheet.unit, _find_column(sheet)
-    needed = (len(question.options) or 1.5) * ROW * unit
-    if question.kind == "likert":
-        column = body._replace(height=0.0)
+    unit, is_likert = sheet.unit, question.kind == "likert"
+    column = sheet.find_strip("body", width=ui.WIDEST if is_likert else COLUMN)
+    needed, bottom = (len(question.options) or 1.5) * ROW * unit, column.bottom
+    if is_likert:
         needed = POINT * unit + sheet.find_height(POINT_LINES, ui.SMALL)
     elif question.kind == "text":
         letters = sheet.measure("n" * MOST_LETTERS, ui.BODY)
         needed = sheet.find_height(letters // (column.width - 6 * unit) + 2, ui.BODY)
     lines = sheet.wrap(question.question, column.width, ui.QUESTION, bold=True)
     height = sheet.find_height(len(lines), ui.QUESTION) + 3 * unit
-    top = _find_top(sheet, height + needed)
-    sheet.write(column._replace(top=top), lines, ui.QUESTION, bold=True)
-    box = Box(column.left, top + height, column.width, body.bottom - top - height)
-    if question.kind == "likert":
+    column = column._replace(top=_find_top(sheet, height + needed))
+    sheet.write(column, lines, ui.QUESTION, bold=True)
+    top = column.top + height
+    box = column._replace(top=top, height=bottom - top)
+    if is_likert:
         _add_points(sheet, view, question.options, box=box)
     elif question.choices:
         _add_options(sheet, view, question.options, box=box)
@@ -143,14 +135,14 @@ def _add_question(sheet: Sheet, view: View, question: Question, *, texts: Screen
     prompts, keys = texts.questions, texts.own_keys
     if not question.required:
         sheet.write(sheet.find_strip("top"), prompts["optional"], ui.SMALL, color=ui.DIM)
-    leave, is_ready = Button(texts.keys["leave"], "pause"), question.name in view.felt
     line = texts.keys["confirm" if question.choices else "confirm_typed"]
+    is_ready = question.name in view.felt
     go_on = Button(line, "confirm", is_main=True, is_ready=is_ready, explains=True)
-    sheet.add_buttons([leave], [go_on])
+    sheet.add_buttons([Button(texts.keys["leave"], "pause")], [go_on])
     signs = ". -" if question.kind == "number" else "A–Z"
     hints = [f"0–9 {signs}  {prompts['type']}", f"⌫  {prompts['delete']}"]
     if question.choices:
-        actions = ("left", "right") if question.kind == "likert" else ("up", "down")
+        actions = ("left", "right") if is_likert else ("up", "down")
         arrows = " ".join(label_key(keys.find_key(action), {}) for action in actions)
         hints = [f"{arrows}  {prompts['pick']}"]
         hints += [f"1–{len(question.choices)}  {prompts['pick']}"] if keys.type_values else []
@@ -163,9 +155,9 @@ def _add_options(sheet: Sheet, view: View, options: Sequence[str], *, box: Box) 
         field = Box(box.left, box.top + place * row, box.width, row - 0.8 * unit)
         is_chosen = view.chosen == str(place)
         ink = sheet.add_choice(field, str(place), is_chosen=is_chosen)
-        mark = Box(field.left + 2 * unit, field.top, 3 * unit, field.height)
+        mark = field._replace(left=field.left + 2 * unit, width=3 * unit)
         sheet.write(mark, CHOSEN if is_chosen else OPEN, ui.BODY, color=ink)
-        words = Box(mark.right + 1.5 * unit, field.top, field.width - 10 * unit, field.height)
+        words = field._replace(left=mark.right + 1.5 * unit, width=field.width - 10 * unit)
         sheet.write(words, option, ui.BODY, color=ink, bold=is_chosen)
 
 
@@ -179,8 +171,8 @@ def _add_points(sheet: Sheet, view: View, options: Sequence[str], *, box: Box) -
         field = Box(box.left + place * step, box.top, step - 1.2 * unit, (POINT - 3) * unit)
         is_chosen = view.chosen == str(place)
         ink = sheet.add_choice(field, str(place), is_chosen=is_chosen)
-        upper = Box(field.left, field.top, field.width, field.height * 0.62)
-        lower = Box(field.left, upper.bottom, field.width, field.height * 0.38)
+        upper = field._replace(height=field.height * 0.62)
+        lower = field._replace(top=upper.bottom, height=field.height * 0.38)
         sheet.write(upper, str(place + 1), ui.QUESTION, color=ink, bold=True, align="center")
         sheet.write(lower, CHOSEN if is_chosen else OPEN, ui.SMALL, color=ink, align="center")
         align, left = "center", field.left + field.width / 2 - room / 2
@@ -197,23 +189,22 @@ def _add_field(sheet: Sheet, view: View, question: Question, *, box: Box) -> Non
     unit, typed, is_number = sheet.unit, f"{view.typed}_", question.kind == "number"
     field = box._replace(width=FIELD * unit) if is_number else box
     sheet.fill(field, ui.PANEL, line=ui.BLUE, round_px=unit, line_px=0.3 * unit)
-    room = field.width - 6 * unit
+    inner = field._replace(left=field.left + 3 * unit, width=field.width - 6 * unit)
     if is_number:
-        inner = Box(field.left + 3 * unit, field.top, room, field.height)
         sheet.write(inner, typed, ui.QUESTION, bold=True)
         if (question.low, question.high) != (None, None):
-            beside = Box(field.right + 3 * unit, field.top, box.right - field.right, field.height)
+            beside = field._replace(left=field.right + 3 * unit, width=box.right - field.right)
             sheet.write(beside, question.describe_range(), ui.BODY, color=ui.DIM)
         return
     pieces: list[str] = []
-    for line in sheet.wrap(typed, room, ui.BODY):
+    for line in sheet.wrap(typed, inner.width, ui.BODY):
         pieces.append("")
         for letter in line:
-            if pieces[-1] and sheet.measure(pieces[-1] + letter, ui.BODY) > room:
+            if pieces[-1] and sheet.measure(pieces[-1] + letter, ui.BODY) > inner.width:
                 pieces.append("")
             pieces[-1] += letter
     most = max(1, int((field.height - 2 * unit) // sheet.find_height(1, ui.BODY)))
-    sheet.write(Box(field.left + 3 * unit, field.top + unit, room), pieces[-most:], ui.BODY)
+    sheet.write(inner._replace(top=field.top + unit), pieces[-most:], ui.BODY)
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,50 +218,47 @@ class _TrialLayout:
     scale: Scale
 
     def add(self) -> None:
-        sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        body, top = sheet.find_strip("body"), sheet.find_strip("body").top
+        sheet, view = self.sheet, self.view
+        box = sheet.find_strip("body")
         if view.kind != "rows":
-            self.add_parts(top)
-            top += 10.5 * unit
+            self.add_parts(box.top)
+            box = box.lower(10.5 * sheet.unit)
         if view.kind == "scales" and view.state != "stroking":
-            self.add_scales(Box(body.left, top, body.width, body.bottom - top))
+            self.add_scales(box)
         else:
-            top = self.add_question(top)
-            box = Box(body.left, top, body.width, body.bottom - top)
-            if view.kind == "rows":
-                self.add_rows(box)
-            elif view.kind == "slider":
-                self.add_slider(box)
-            elif view.kind == "choice":
-                self.add_choices(box)
+            ways = {"rows": self.add_rows, "slider": self.add_slider, "choice": self.add_choices}
+            box = self.add_question(box)
+            if view.kind in ways:
+                ways[view.kind](box)
         self.add_keys()
         if view.state == "answering" and view.left_s:
             color = ui.ORANGE if view.left_s <= SOON_S else ui.DIM
             sheet.write(sheet.find_strip("top"), f"{view.left_s} s", ui.SMALL, color=color)
 
-    def add_question(self, top: float) -> float:
-        """Add what is asked, and the picture of the surface; returns where they end."""
+    def add_question(self, box: Box) -> Box:
+        """Add what is asked, and the picture of the surface; returns what is free below."""
         sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        body, is_rows, question = sheet.find_strip("body"), view.kind == "rows", self.scale.question
+        is_rows, question = view.kind == "rows", self.scale.question
         if view.state == "stroking":
             prompt = self.texts.prompts["surface" if view.sample else "surface_unnamed"]
             question = prompt.format(sample=view.sample)
-        lines = sheet.wrap(question, body.width, ui.QUESTION, bold=True)
-        sheet.write(Box(body.left, top, body.width), lines, ui.QUESTION, bold=True, align="center")
+        lines = sheet.wrap(question, box.width, ui.QUESTION, bold=True)
+        sheet.write(box, lines, ui.QUESTION, bold=True, align="center")
         sheet.limit_lines(len(lines), most=QUESTION_LINES, what="question")
-        top += sheet.find_height(len(lines), ui.QUESTION) + (1.5 if is_rows else 3.0) * unit
+        height = sheet.find_height(len(lines), ui.QUESTION)
+        box = box.lower(height + (1.5 if is_rows else 3.0) * unit)
         if view.picture and not is_rows:
             below = self.measure_slider()[2] if view.kind == "slider" else 0.0
-            room = body.bottom - top
-            height = max(room - below - BELOW * unit, room / 3)
-            sheet.items.append(Photo(Box(body.left, top, body.width, height), view.picture))
-            top += height + BELOW * unit
-        return top
+            height = max(box.height - below - BELOW * unit, box.height / 3)
+            sheet.items.append(Photo(box._replace(height=height), view.picture))
+            box = box.lower(height + BELOW * unit)
+        return box
 
     def add_keys(self) -> None:
         keys, view = self.texts.keys, self.view
         is_open = view.state == "answering" or view.loops
-        is_ready = view.state == "stroking" or (is_open and view.is_done)
+        is_answered = bool(view.chosen) or view.markers.keys() >= set(self.trial.judged)
+        is_ready = view.state == "stroking" or (is_open and not view.unfelt and is_answered)
         state = {"is_main": True, "is_ready": is_ready, "explains": is_open}
         right = [Button(keys["confirm"], "confirm", **state)]
         if view.state == "feeling":
@@ -285,21 +273,15 @@ class _TrialLayout:
                 hints.insert(0, f"{arrows}  {self.texts.questions['pick']}")
             self.sheet.add_hints(hints)
 
-    # What is felt.
-
     def add_parts(self, top: float) -> None:
-        sheet, unit = self.sheet, self.sheet.unit
+        sheet, unit, name_part = self.sheet, self.sheet.unit, self.texts.name_part
         # A reference that is stroked is called by what it is.
-        names = {
-            part.name: self.texts.name_part("surface" if part.surface else part.name)
-            for part in self.trial.parts
-        }
+        parts = self.trial.parts
+        names = {p.name: name_part("surface" if p.surface else p.name) for p in parts}
         # Wide enough that a tick stands apart from the name, which stays in the middle.
         width = max(sheet.measure(name, ui.BODY, bold=True) for name in names.values()) + 14 * unit
-        strip = Box(0, top, sheet.width, 7 * unit)
-        for part, box in zip(
-            names, sheet.line_up([width] * len(names), 2 * unit, strip), strict=True
-        ):
+        boxes = sheet.line_up([width] * len(names), 2 * unit, Box(0, top, sheet.width, 7 * unit))
+        for part, box in zip(names, boxes, strict=True):
             self.add_part(box, part, names[part], size=ui.BODY)
             if self.view.state == "answering" and self.trial.timing != "strict":
                 sheet.targets.append(Target(box, "feel", part))
@@ -312,16 +294,14 @@ class _TrialLayout:
         tick = sheet.measure(FELT, size, bold=True)
         fill, line = (ui.BLUE, "") if is_on else (ui.PANEL, ui.LINE)
         sheet.fill(box, fill, line=line, round_px=size_px / 2.5, line_px=size_px / 12)
-        inner = Box(box.left + 1.6 * tick, box.top, box.width - 3.2 * tick, box.height)
+        inner = box._replace(left=box.left + 1.6 * tick, width=box.width - 3.2 * tick)
         sheet.write(inner, name, size, color=ink, bold=True, align="center")
         if self.view.loops and is_on:
-            left = Box(box.left + 0.5 * tick, box.top, tick, box.height)
+            left = box._replace(left=box.left + 0.5 * tick, width=tick)
             sheet.write(left, LOOP, size, color=ink, bold=True)
         if is_felt:
-            right = Box(box.right - 1.5 * tick, box.top, tick, box.height)
+            right = box._replace(left=box.right - 1.5 * tick, width=tick)
             sheet.write(right, FELT, size, color=ink, bold=True)
-
-    # What is answered.
 
     def add_track(self, track: Box, value: float | None, *, is_ready: bool, color: str) -> None:
         """Draw a line with ends, of whose places no other stands out, and the marker if there is one."""
@@ -334,7 +314,7 @@ class _TrialLayout:
             sheet.fill(end, ink)
         if value is not None:
             x, width = track.left + (value - low) / (high - low) * track.width, track.height * 0.36
-            box = Box(x - width / 2, track.top, width, track.height)
+            box = track._replace(left=x - width / 2, width=width)
             sheet.fill(box, color, round_px=width / 2)
 
     def measure_slider(self) -> tuple[float, list[list[str]], float]:
@@ -362,7 +342,7 @@ class _TrialLayout:
             align, width = ("left", "right")[at], LABEL * track.width
             end = Box(track.left + at * (track.width - width), top, width, step)
             sheet.write(end, f"{number:.0f}", ui.SMALL, color=ui.DIM, align=align)
-            sheet.write(end._replace(top=top + step), lines, ui.BODY, align=align)
+            sheet.write(end.lower(step), lines, ui.BODY, align=align)
             sheet.limit_lines(len(lines), most=LABEL_LINES, what="longer label")
         if view.typed or value is not None:
             is_typing = bool(view.typed) or value is None
@@ -429,14 +409,15 @@ class _TrialLayout:
             if name == view.selected:
                 color = ui.BLUE
                 sheet.fill(line, "", line=ui.LINE, line_px=0.2 * unit)
-                sheet.fill(Box(line.left - 0.8 * unit, line.top, 0.8 * unit, line.height), ui.BLUE)
+                sheet.fill(line._replace(left=line.left - 0.8 * unit, width=0.8 * unit), ui.BLUE)
             self.add_track(track, value, is_ready=view.can_rate(name), color=color)
             if value is not None:
-                room = line.right - track.right - 4 * unit
-                beside = Box(track.right + 3 * unit, line.top, room, line.height)
+                beside = line._replace(
+                    left=track.right + 3 * unit, width=line.right - track.right - 4 * unit
+                )
                 sheet.write(beside, f"{value:.0f}", ui.BODY, bold=True, align="right")
             if view.can_rate(name):
-                target = Box(track.left - 2 * unit, line.top, track.width + 4 * unit, line.height)
+                target = line._replace(left=track.left - 2 * unit, width=track.width + 4 * unit)
                 sheet.targets.append(Target(target, "mark", name, track))
             spots[name] = Box(box.left + unit, line.top + 0.04 * row, width - unit, 0.92 * row)
         for name, spot in spots.items():
@@ -445,16 +426,15 @@ class _TrialLayout:
 
     def add_scales(self, box: Box) -> None:
         """Set the sliders of several scales under each other, each with its question above and its ends below."""
-        sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        count = len(self.trial.judged)
-        height = min(19 * unit, box.height / count)
-        top = box.top + (box.height - height * count) / 2
-        room = box.height - BLOCK * unit * count - BELOW * unit
+        sheet, view, unit, judged = self.sheet, self.view, self.sheet.unit, self.trial.judgements
+        height = min(19 * unit, box.height / len(judged))
+        top = box.top + (box.height - height * len(judged)) / 2
+        room = box.height - BLOCK * unit * len(judged) - BELOW * unit
         if view.picture and room >= LEAST_PICTURE * unit:
             height = BLOCK * unit
-            sheet.items.append(Photo(Box(box.left, box.top, box.width, room), view.picture))
+            sheet.items.append(Photo(box._replace(height=room), view.picture))
             top = box.top + room + BELOW * unit
-        for place, judgement in enumerate(self.trial.judgements):
+        for place, judgement in enumerate(judged):
             line = Box(box.left, top + place * height, box.width, height)
             self.add_scale(judgement, line, number=place + 1)
 
@@ -473,7 +453,7 @@ class _TrialLayout:
         self.add_track(track, value, is_ready=view.can_answer, color=color)
         words = "" if value is None else f"{value:.0f}"
         words = f"{view.typed}_" if view.typed and is_selected else words
-        beside = Box(track.right + unit, track.top, (MARGIN + VALUE - 1) * unit, track.height)
+        beside = track._replace(left=track.right + unit, width=(MARGIN + VALUE - 1) * unit)
         sheet.write(beside, words, ui.BODY, bold=True, align="right")
         top, step = track.bottom + 0.2 * unit, head.height
         low = Box(left, top, LABEL * width, step)

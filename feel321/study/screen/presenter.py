@@ -11,7 +11,7 @@ from math import ceil, inf
 from feel321.protocols.texts import Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.study.actuator.output import Output
-from feel321.study.screen.input import Answer, Form, Hand, InputEvent, Request, ScreenTexts, View
+from feel321.study.screen.input import Answer, Form, Hand, InputEvent, ScreenTexts, Stop, View
 from feel321.study.screen.layout import compose
 from feel321.study.screen.sheet import Sheet
 from feel321.study.screen.window import Window
@@ -59,20 +59,20 @@ class ScreenPresenter:
         self._events.clear()
         self._show_frame()
 
-    def _listen(self) -> Iterator[Request]:
+    def _listen(self) -> Iterator[Act | Stop]:
         """Show a frame, and list what the participant wants; what is left of a frame waits for the next call."""
         self._show_frame()
         while self._events:
             event = self._events.popleft()
             if event.kind in {"press", "click"}:
                 self._notice = ""
-            request = self._interpret(event)
-            if request and request.name == "confirm" and event.kind == "click":
+            wish = self._interpret(event)
+            if isinstance(wish, Confirm) and event.kind == "click":
                 if event.time_s - self._confirmed_s < DOUBLE_S:
                     continue  # the other half of a double one
                 self._confirmed_s = event.time_s
-            if request:
-                yield request
+            if wish:
+                yield wish
         if self._view.trial is not None:
             self._answer.tick(self._clock(), can_answer=self._view.can_answer)
 
@@ -94,28 +94,28 @@ class ScreenPresenter:
             self._composed = view, compose(view, self._texts, size=self._window.size)
         self._events.extend(self._window.show(self._composed[1].items))
 
-    def _interpret(self, event: InputEvent) -> Request | None:
+    def _interpret(self, event: InputEvent) -> Act | Stop | None:
         trial, page, time_s = self._view.trial, self._view.page, event.time_s
         targets = self._composed[1].targets if event.kind == "click" else []
         target = next((t for t in targets if t.box.contains(event.x, event.y)), None)
         name = target.name if target else ""
         if event.kind == "closed":
-            return Request("close", time_s)
+            return Abort(time_s, "the window was closed")
         if event.kind == "hidden":
             # Nobody sees what is asked: a trial begins anew after a pause, a page waits.
-            return Request("pause", time_s) if trial is not None else None
+            return Pause(time_s) if trial is not None else None
         if event.kind == "press":
             is_theirs = page is not None and page.by == "experimenter"
             confirm = "experimenter" if is_theirs else "next"
             action = (self._form or self._texts.own_keys).name_action(event.key)
             name = {confirm: "confirm", "stop": "stop", "pause": "pause"}.get(action, "")
-        if name == "pause" and not (event.kind == "click" and trial):
+        if name == "pause":
             # A key must be pressed twice; the button of a trial is enough.
-            is_second = time_s - self._paused_s <= TWICE_S
+            is_second = time_s - self._paused_s <= TWICE_S or (event.kind == "click" and trial)
             self._paused_s = -inf if is_second else time_s
-            return Request("pause", time_s) if is_second else None
-        if name in {"confirm", "stop", "pause"}:
-            return Request(name, time_s)
+            return Pause(time_s) if is_second else None
+        if name in {"confirm", "stop"}:
+            return Confirm(time_s, {}) if name == "confirm" else Stop(time_s)
         if self._form is not None:
             self._form.take(event, target)
         if trial is None:
@@ -124,15 +124,15 @@ class ScreenPresenter:
 
     # Pages.
 
-    def show_page(self, page: Page, place: Place) -> Confirm | Pause | Abort:
-        """Show a page until whoever it is for is done with it, for its least time at least."""
-        return self._show(page, place)
-
     def show_question(self, question: Question, place: Place) -> Confirm | Pause | Abort:
         """Show a question page until it has an answer."""
-        return self._show(Page(question.key), place, Form(question, self._texts.own_keys))
+        form = Form(question, self._texts.own_keys)
+        return self.show_page(Page(question.key), place, form=form)
 
-    def _show(self, page: Page, place: Place, form: Form | None = None) -> Confirm | Abort:
+    def show_page(
+        self, page: Page, place: Place, *, form: Form | None = None
+    ) -> Confirm | Pause | Abort:
+        """Show a page until whoever it is for is done with it, for its least time at least."""
         question, left_s = form.question if form else None, ceil(page.least_s)
         view = View("page", "reading", self._view.screen + 1, place, page, question, left_s=left_s)
         self._bring_up(view, form)
@@ -140,19 +140,19 @@ class ScreenPresenter:
         while True:
             left_s = ceil(max(0.0, page.least_s - self._clock() + shown_s))
             self._view = replace(self._view, left_s=left_s)
-            for request in self._listen():
-                stood_s = max(0.0, request.time_s - shown_s)
-                if (end := find_end(request)) is not None and self._view.can_leave:
-                    return Abort(request.time_s, end.reason if isinstance(end, Abort) else LEFT)
-                if request.name not in {"confirm", "close"}:
+            for wish in self._listen():
+                stood_s = max(0.0, wish.time_s - shown_s)
+                if isinstance(wish, Pause | Abort) and self._view.can_leave:
+                    return Abort(wish.time_s, wish.reason if isinstance(wish, Abort) else LEFT)
+                if not isinstance(wish, Confirm | Abort):  # nothing is left of a closed window
                     continue
                 values: dict[str, float | str] = {}
                 fault = "too_early" if stood_s < page.least_s else ""
                 if form is not None:
                     fault, values = form.check()
                 if not fault:
-                    return Confirm(request.time_s, values, stood_s)
-                if request.name == "confirm":
+                    return Confirm(wish.time_s, values, stood_s)
+                if isinstance(wish, Confirm):
                     self.refuse(fault, (form.question.describe_range(),) if form else ())
 
     # Trials.
@@ -201,14 +201,15 @@ class ScreenPresenter:
         act: Pause | Abort | None = None
         stopped_s = inf
         while self._output.is_playing and self._clock() - stopped_s < SILENCE_S:
-            for request in self._listen():
-                is_switch = request.name == "feel" and self._view.kind == "rows"
-                is_switch = is_switch or (request.name == "confirm" and self._answer.loops)
+            for wish in self._listen():
+                is_switch = isinstance(wish, Feel) and self._view.kind == "rows"
+                is_switch = is_switch or (isinstance(wish, Confirm) and self._answer.loops)
                 if is_switch:
-                    self._acts.extend(self._list_acts(request))
-                    self._is_switching = request.name == "feel"
-                act = act or find_end(request)
-                if act or is_switch or request.name == "stop":
+                    self._acts.extend(self._list_acts(wish))
+                    self._is_switching = isinstance(wish, Feel)
+                if isinstance(wish, Pause | Abort):
+                    act = act or wish
+                if act or is_switch or isinstance(wish, Stop):
                     self._output.stop()
                     stopped_s = min(stopped_s, self._clock())
         return act, stopped_s == inf
@@ -220,9 +221,9 @@ class ScreenPresenter:
         self._hand.feel(part, None)
         began_s = self._clock()
         while True:
-            for request in self._listen():
-                end = find_end(request)
-                if end is not None or request.name == "confirm":
+            for wish in self._listen():
+                if isinstance(wish, Pause | Abort | Confirm):
+                    end = None if isinstance(wish, Confirm) else wish
                     self._end_part(part, is_felt=end is None)
                     return Playback(began_s, began_s, completed=end is None, act=end)
 
@@ -239,8 +240,8 @@ class ScreenPresenter:
         """Wait for the participant's next act on the trial that is shown."""
         self._view = replace(self._view, state="answering", playing="")
         while not self._acts:
-            for request in self._listen():
-                self._acts.extend(self._list_acts(request))
+            for wish in self._listen():
+                self._acts.extend(self._list_acts(wish))
             self._acts.extend(self._answer.settle(self._clock()))
             if limit_s is not None:
                 left_s = limit_s - self._clock() + self._possible_s
@@ -250,27 +251,23 @@ class ScreenPresenter:
         return self._acts.popleft()
 
     def refuse(self, reason: str, parts: tuple[str, ...]) -> None:
-        """Explain to the participant why an act was not accepted, until the next one."""
-        self._notice = self._texts.explain(reason, parts, self._view.trial)
+        """Explain why an act was not accepted, until the next one; several scales are numbered."""
+        trial, names = self._view.trial, [self._texts.name_part(part) for part in parts]
+        if trial and reason == "not_answered" and any(one.scale for one in trial.judgements):
+            names = [str(trial.judged.index(part) + 1) for part in parts]
+        self._notice = self._texts.refusals[reason].format(parts=", ".join(names))
 
-    def _list_acts(self, request: Request) -> Iterator[Act]:
-        """Turn a request into acts; markers come to rest before anything else is done."""
-        time_s, answer = request.time_s, self._answer
-        if (end := find_end(request)) is not None:
-            yield end
-        elif request.name == "feel":
+    def _list_acts(self, wish: Act | Stop) -> Iterator[Act]:
+        """Complete a wish; markers come to rest before anything else is done."""
+        time_s, answer = wish.time_s, self._answer
+        if isinstance(wish, Pause | Abort):
+            yield wish
+        elif isinstance(wish, Feel):
             yield from answer.settle(time_s, rest_s=0.0)
-            yield Feel(time_s, request.part)
-        elif request.name == "confirm" and not (
+            yield wish
+        elif isinstance(wish, Confirm) and not (
             answer.finish_typing(time_s) or answer.go_to_open()
         ):
             # Enter after digits that wait for another sets their value only: it must be seen before it counts.
             yield from answer.settle(time_s, rest_s=0.0)
             yield Confirm(time_s, answer.values, max(0.0, time_s - self._possible_s))
-
-
-def find_end(request: Request) -> Pause | Abort | None:
-    """Return the act by which a request ends the trial, if it does."""
-    if request.name == "close":
-        return Abort(request.time_s, "the window was closed")
-    return Pause(request.time_s) if request.name == "pause" else None

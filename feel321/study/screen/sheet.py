@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from itertools import accumulate
-from math import cos, pi, sin
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,6 +24,7 @@ FONT = "DejaVu Sans"
 LEADING = 1.3  # height of a line of text, in heights of its letters (em)
 SLACK = 1.04  # factor by which the window's text engine may set a line wider: whole pixels
 WIDE = 1.58  # screens at least this wide for their height are measured by their height
+WIDEST = 150.0  # width of strips, in units
 SHOWN = 60  # letters of a text that are quoted where it is too long
 
 STRIPS = {
@@ -63,6 +63,10 @@ class Box(NamedTuple):
     def grow(self, by: float) -> "Box":
         """Move every edge out by so many pixels."""
         return Box(self.left - by, self.top - by, self.width + 2 * by, self.height + 2 * by)
+
+    def lower(self, by: float) -> "Box":
+        """Move the upper edge down by so many pixels."""
+        return self._replace(top=self.top + by, height=self.height - by)
 
 
 class Text(NamedTuple):
@@ -128,55 +132,32 @@ def split_key(text: str) -> tuple[str, str]:
     return key, action[:1].upper() + action[1:]
 
 
-def round_corners(box: Box, radius: float, *, steps: int = 8) -> list[tuple[float, float]]:
-    """Make a polygon of a rectangle with rounded corners, whose radius is in pixels."""
-    inner = box.grow(-min(radius, box.width / 2, box.height / 2)) if radius > 0 else box
-    reach = inner.left - box.left
-    right, left, top, bottom = inner.right, inner.left, inner.top, inner.bottom
-    corners = ((right, top), (right, bottom), (left, bottom), (left, top))
-    if radius <= 0:
-        return list(corners)
-    return [
-        (x + reach * sin(angle), y - reach * cos(angle))
-        for turn, (x, y) in enumerate(corners)
-        for angle in (pi / 2 * (turn + step / steps) for step in range(steps + 1))
-    ]
-
-
 def find_font_files() -> tuple[Path, Path]:
     """Find the files of the font, regular and bold."""
     folder = Path(str(files("matplotlib"))) / "mpl-data" / "fonts" / "ttf"
     return folder / "DejaVuSans.ttf", folder / "DejaVuSans-Bold.ttf"
 
 
-def measure(words: str, size: float, *, bold: bool = False) -> float:
-    """Measure the width of a line of text; size: height of its letters (em); both in pixels."""
-    kerned, unkerned = _measure_em(words, bold=bold)
-    return max(kerned * SLACK, unkerned) * size
-
-
 @cache
-def _measure_em(words: str, *, bold: bool) -> tuple[float, float]:
-    """Measure a line with letters pushed together where they may be, and without, as the window's text engine does."""
-    width = sum(_measure_letter(letter, bold=bold) for letter in words)
-    if list_missing(words):
-        return width, width
-    font = _open_font(bold=bold)
+def measure(words: str, size: float, *, bold: bool = False) -> float:
+    """Measure the width of a line of text; size: height of its letters (em); both in pixels.
+
+    The wider of that with letters pushed together, and that without, as the window's text engine does.
+    """
+    font, missing = _open_font(bold=bold), list_missing(words)
+    advances = [font.load_char(ord(one)).linearHoriAdvance for one in words if one not in missing]
+    # A box of an em stands for a letter that is missing.
+    width = sum(advances) / 65536 / 1000 + len(words) - len(advances)
+    if missing:
+        return width * SLACK * size
     font.set_text(words, 0.0)
-    return float(font.get_width_height()[0]) / 64 / 1000, width
+    return max(float(font.get_width_height()[0]) / 64 / 1000 * SLACK, width) * size
 
 
 def list_missing(words: str) -> list[str]:
     """List the letters that the screen's font lacks."""
     font = _open_font(bold=False)
     return [letter for letter in dict.fromkeys(words) if not font.get_char_index(ord(letter))]
-
-
-@cache
-def _measure_letter(letter: str, *, bold: bool) -> float:
-    if list_missing(letter):
-        return 1.0  # an em, as a box that stands for it
-    return _open_font(bold=bold).load_char(ord(letter)).linearHoriAdvance / 65536 / 1000
 
 
 @cache
@@ -201,11 +182,11 @@ class Sheet:
         """A hundredth of the screen's height, in pixels; less on screens that are not wide."""
         return min(self.height, self.width / WIDE) / 100
 
-    def find_strip(self, name: str) -> Box:
-        """Find one of the strips that a screen is divided into."""
+    def find_strip(self, name: str, *, width: float = WIDEST) -> Box:
+        """Find one of the strips that a screen is divided into; width: in units, at most."""
         unit = self.unit
         top, bottom = (edge * unit + self.height * (edge < 0) for edge in STRIPS[name])
-        width = min(self.width - 8 * unit, 150 * unit)
+        width = min(self.width - 8 * unit, width * unit)
         return Box((self.width - width) / 2, top, width, bottom - top)
 
     def measure(self, words: str, size: float, *, bold: bool = False) -> float:
@@ -246,11 +227,10 @@ class Sheet:
         align: str = "left",
     ) -> None:
         """Write a line of text, or several under each other from the top of a box."""
-        size_px = size * self.unit
-        step = box.height if isinstance(words, str) else size_px * LEADING
-        for place, line in enumerate([words] if isinstance(words, str) else words):
+        size_px, lines = size * self.unit, [words] if isinstance(words, str) else words
+        row = box if lines is not words else box._replace(height=size_px * LEADING)
+        for line in lines:
             if line:
-                row = Box(box.left, box.top + place * step, box.width, step)
                 self.items.append(Text(row, line, size_px, color, bold, align))
             if missing := list_missing(line):
                 letters = ", ".join(map(repr, missing))
@@ -258,13 +238,13 @@ class Sheet:
             if measure(line, size_px, bold=bold) > box.width + 0.5:
                 short = line if len(line) <= SHOWN else f"{line[:SHOWN]}..."
                 self.faults.append(f"got {short!r}, which is too long for its place; shorten it")
+            row = row._replace(top=row.bottom)
 
     def limit_lines(self, count: int, *, most: int, what: str) -> None:
         """Note a text that takes too many lines."""
         if count > most:
-            self.faults.append(
-                f"its {what} must take at most {most} lines, got {count}; shorten it"
-            )
+            told = f"its {what} must take at most {most} lines, got {count}; shorten it"
+            self.faults.append(told)
 
     def add_choice(self, box: Box, part: str, *, is_chosen: bool) -> str:
         """Draw an option, filled if it is chosen; returns the color of its letters."""
@@ -288,23 +268,25 @@ class Sheet:
         strip, unit = self.find_strip("buttons"), self.unit
         for at, buttons in enumerate((left, right)):
             words = [split_key(button.text) for button in buttons]
-            sizes = [
-                (self.measure(action, SMALL, bold=True), self.measure(key, SMALL))
-                for key, action in words
+            sizes = [self.measure(action, SMALL, bold=True) for _, action in words]
+            widths = [
+                own + self.measure(key, SMALL) + 6.5 * unit
+                for own, (key, _) in zip(sizes, words, strict=True)
             ]
-            boxes = self.line_up([sum(own) + 6.5 * unit for own in sizes], 2 * unit, strip, at=at)
+            boxes = self.line_up(widths, 2 * unit, strip, at=at)
             for button, box, (key, action), own in zip(buttons, boxes, words, sizes, strict=True):
                 is_blue = button.is_main and button.is_ready
                 fill, line = (BLUE, "") if is_blue else (PANEL, LINE)
                 self.fill(box, fill, line=line, round_px=1.2 * unit, line_px=0.25 * unit)
                 if button.share:
-                    gone = Box(box.left, box.top, box.width * button.share, box.height)
-                    self.fill(gone, LINE, round_px=1.2 * unit)
+                    self.fill(
+                        box._replace(width=box.width * button.share), LINE, round_px=1.2 * unit
+                    )
                 is_dim = not (button.is_ready or button.share)
-                place = Box(box.left + 2.5 * unit, box.top, own[0], box.height)
+                place = box._replace(left=box.left + 2.5 * unit, width=own)
                 color = GROUND if is_blue else DIM if is_dim else INK
                 self.write(place, action, SMALL, color=color, bold=True)
-                place = Box(place.right + 1.5 * unit, box.top, own[1], box.height)
+                place = box._replace(left=place.right + 1.5 * unit, width=self.measure(key, SMALL))
                 color = GROUND if is_blue else INK if button.share else DIM
                 self.write(place, key, SMALL, color=color)
                 if button.is_ready or button.explains:

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import count
+from math import cos, pi, sin
 from typing import Any
 
 from feel321.study.screen import sheet
@@ -25,11 +26,10 @@ Foreign = Any  # PsychoPy has no types
 
 FRAME_S = 1 / 60  # shortest time for a frame; a slower screen decides for itself
 POLL_S = 0.0015  # how often events are collected between frames
+REDRAW_S = 0.5  # what has not changed is drawn again, in case something covered it
+REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faster
 WINDOW_SIZE = (1280, 800)  # default size of a window, in pixels
 DESTROY_NOTIFY = 17  # X11's number of the event that a window was destroyed
-REDRAW_S = 0.5  # what has not changed is drawn again, in case something covered it
-
-REPEAT_S = 0.003  # shortest time between two presses: X repeats held keys faster
 HELD = (signal.SIGINT, signal.SIGTERM)
 
 ALIASES = {
@@ -60,12 +60,9 @@ def drop_repeats(events: list[InputEvent]) -> list[InputEvent]:
 @contextmanager
 def hold_signals() -> Iterator[Callable[[], None]]:
     """Hold Ctrl-C and SIGTERM until the function given is called; only the main thread receives signals."""
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: None
-        return
-    before: dict[int, Any] = {
-        number: signal.getsignal(number) for number in HELD if callable(signal.getsignal(number))
-    }
+    is_main = threading.current_thread() is threading.main_thread()
+    known: dict[int, Any] = {number: signal.getsignal(number) for number in HELD if is_main}
+    before = {number: handler for number, handler in known.items() if callable(handler)}
     numbers, waiting = count(), list[int]()
 
     def hold(number: int, frame: object) -> None:
@@ -94,7 +91,7 @@ class Window:
     def __init__(
         self, handle: Foreign, clock: Callable[[], float], deliver_signals: Callable[[], None]
     ) -> None:
-        self.handle, self.clock, self.deliver_signals = handle, clock, deliver_signals
+        self.handle, self._clock, self._deliver_signals = handle, clock, deliver_signals
         self.drawn: dict[sheet.Item, Foreign] = {}  # PsychoPy's objects of what is shown
         self.late_frames = 0
         self._events: list[InputEvent] = []
@@ -112,60 +109,63 @@ class Window:
         """Show items for a frame, and collect what is done in it."""
         items, began = tuple(items), time.perf_counter()
         if not self._is_closed and (items != self._shown or began > self._redraw_s):
-            self._draw(items)
+            try:
+                self.handle.winHandle.switch_to()  # only then does pyglet free what texts of former screens took
+                # The objects of what is not shown any longer are let go.
+                self.drawn = {item: self.drawn.get(item) or self._make(item) for item in items}
+                for stimulus in self.drawn.values():
+                    stimulus.draw()
+                self.handle.flip()
+            except _list_graphics_errors():
+                # Drawing fails in many ways when the window was destroyed without being asked to close.
+                self._is_closed = True
             if items != self._shown:
                 self.late_frames += time.perf_counter() - began > 1.5 * FRAME_S
             self._shown, self._redraw_s = items, began + REDRAW_S
         self._due_s = max(self._due_s + FRAME_S, time.perf_counter())
-        while True:
-            self.handle.winHandle.dispatch_events()
-            left_s = self._due_s - time.perf_counter()
-            if left_s <= 0:
-                break
+        self.handle.winHandle.dispatch_events()
+        while (left_s := self._due_s - time.perf_counter()) > 0:
             time.sleep(min(POLL_S, left_s))
-        self.deliver_signals()
+            self.handle.winHandle.dispatch_events()
+        self._deliver_signals()
         if self._is_closed:
             # With every frame: who shows another screen meanwhile must not miss it.
-            self._events.append(InputEvent("closed", self.clock()))
+            self._events.append(InputEvent("closed", self._clock()))
         events, self._events = drop_repeats(self._events), []
         return events
-
-    def close(self) -> None:
-        """Close the window; it may be gone already."""
-        with suppress(*_list_graphics_errors()):
-            self.handle.close()
-
-    def _draw(self, items: tuple[sheet.Item, ...]) -> None:
-        try:
-            self.handle.winHandle.switch_to()  # only then does pyglet free what texts of former screens took
-            # The objects of what is not shown any longer are let go.
-            self.drawn = {item: self.drawn.get(item) or self._make(item) for item in items}
-            for stimulus in self.drawn.values():
-                stimulus.draw()
-            self.handle.flip()
-        except _list_graphics_errors():
-            # Drawing fails in many ways when the window was destroyed without being asked to close.
-            self._is_closed = True
 
     def _make(self, item: sheet.Item) -> Foreign:
         from psychopy.visual.image import ImageStim
         from psychopy.visual.shape import BaseShapeStim
         from psychopy.visual.text import TextStim
 
+        def turn_up(x: float, y: float) -> tuple[float, float]:
+            """Count from the middle, upwards, as PsychoPy does."""
+            width, height = self.handle.size
+            return x - width / 2, height / 2 - y
+
         box = item.box
+        middle_x, middle_y = box.left + box.width / 2, box.top + box.height / 2
         if isinstance(item, sheet.Photo):
-            middle = self._turn_up(box.left + box.width / 2, box.top + box.height / 2)
-            image = ImageStim(self.handle, str(item.path), pos=middle)
+            image = ImageStim(self.handle, str(item.path), pos=turn_up(middle_x, middle_y))
             width, height = image.size
             scale = min(box.width / width, box.height / height)
             image.size = width * scale, height * scale
             return image
         if isinstance(item, sheet.Area):
-            inner = box.grow(-item.line_px / 2) if item.line else box
-            corners = [self._turn_up(*at) for at in sheet.round_corners(inner, item.round_px)]
+            box = box.grow(-item.line_px / 2) if item.line else box
+            reach = min(item.round_px, box.width / 2, box.height / 2)
+            inner = box.grow(-reach)
+            lefts = (inner.right, inner.right, inner.left, inner.left)
+            tops = (inner.top, inner.bottom, inner.bottom, inner.top)
+            corners = [
+                turn_up(x + reach * sin(angle), y - reach * cos(angle))
+                for turn, (x, y) in enumerate(zip(lefts, tops, strict=True))
+                for angle in (pi / 2 * (turn + step / 8) for step in range(9 if reach else 1))
+            ]
             colors = {"fillColor": item.fill or None, "lineColor": item.line or None}
             return BaseShapeStim(self.handle, vertices=corners, lineWidth=item.line_px, **colors)
-        x = {"left": box.left, "right": box.right}.get(item.align, box.left + box.width / 2)
+        x = {"left": box.left, "right": box.right}.get(item.align, middle_x)
         return TextStim(
             self.handle,
             item.words,
@@ -173,17 +173,12 @@ class Window:
             bold=item.bold,
             height=item.size,
             color=item.color,
-            pos=self._turn_up(round(x), round(box.top + box.height / 2)),
+            pos=turn_up(round(x), round(middle_y)),
             anchorHoriz=item.align,
             alignText=item.align,
             anchorVert="center",
             wrapWidth=10 * self.handle.size[0],  # lines were broken by the layout
         )
-
-    def _turn_up(self, x: float, y: float) -> tuple[float, float]:
-        """Count from the middle, upwards, as PsychoPy does."""
-        width, height = self.handle.size
-        return x - width / 2, height / 2 - y
 
     def listen(self) -> None:
         """Collect the window's events from now on; PsychoPy's own lists of them would grow for hours."""
@@ -191,35 +186,30 @@ class Window:
 
         inner = self.handle.winHandle
 
-        def locate(x: float, y: float) -> tuple[float, float]:
-            width, height = inner.get_size()
-            return x * self.size[0] / width, (height - y) * self.size[1] / height
-
         # Handlers that return True are the last to receive an event.
-        def take(kind: Any, *, key: int = 0, at: tuple[float, float] = (0.0, 0.0)) -> bool:  # noqa: ANN401 - a kind of InputEvent
-            name = name_key(keys.symbol_string(key)) if key else ""
-            self._events.append(InputEvent(kind, self.clock(), name, *at))
+        def take(kind: Any, key: str = "", *, x: float = 0.0, y: float = 0.0) -> bool:  # noqa: ANN401 - a kind of InputEvent
+            self._events.append(InputEvent(kind, self._clock(), key, x, y))
             return True
 
-        def write(text: str) -> bool:
-            if text.isprintable():  # Enter is a text too
-                self._events.append(InputEvent("text", self.clock(), text))
-            return True
-
-        def move(motion: int) -> bool:
-            return motion != keys.MOTION_BACKSPACE or write("backspace")
+        def point(kind: str, x: float, y: float) -> bool:
+            (width, height), size = inner.get_size(), self.size
+            return take(kind, x=x * size[0] / width, y=(height - y) * size[1] / height)
 
         def end(*_: object) -> bool:
             self._is_closed = True
             return True  # the window stays until the session has let go of it
 
         inner.push_handlers(
-            on_key_press=lambda symbol, _: take("press", key=symbol),
-            on_key_release=lambda symbol, _: take("release", key=symbol),
-            on_text=write,
-            on_text_motion=move,
-            on_mouse_press=lambda x, y, *_: take("click", at=locate(x, y)),
-            on_mouse_drag=lambda x, y, *_: take("drag", at=locate(x, y)),
+            on_key_press=lambda symbol, _: take("press", name_key(keys.symbol_string(symbol))),
+            on_key_release=lambda symbol, _: take("release", name_key(keys.symbol_string(symbol))),
+            on_text=lambda text: (
+                not text.isprintable() or take("text", text)
+            ),  # Enter is a text too
+            on_text_motion=lambda motion: (
+                motion != keys.MOTION_BACKSPACE or take("text", "backspace")
+            ),
+            on_mouse_press=lambda x, y, *_: point("click", x, y),
+            on_mouse_drag=lambda x, y, *_: point("drag", x, y),
             on_deactivate=lambda: take("unfocused"),
             on_hide=lambda: take("hidden"),
             on_close=end,
@@ -234,7 +224,7 @@ def open_screen(
     *,
     clock: Callable[[], float],
     windowed: bool = False,
-    size: tuple[int, int] | None = None,
+    size: tuple[int, int] = WINDOW_SIZE,
     screen: int = 0,
 ) -> Iterator[Window]:
     """Open the participants' window, and close it whatever happens; clock: in s since the session began."""
@@ -244,7 +234,7 @@ def open_screen(
         # It warns of what is meant: no monitor is calibrated.
         logging.console.setLevel(logging.ERROR)
         handle = visual.Window(
-            size=size or WINDOW_SIZE,
+            size=size,
             fullscr=not windowed,
             screen=screen,
             winType="pyglet",
@@ -267,7 +257,8 @@ def open_screen(
             window.listen()
             yield window
         finally:
-            window.close()
+            with suppress(*_list_graphics_errors()):  # it may be gone already
+                handle.close()
 
 
 def check_screen(screen: int) -> None:
