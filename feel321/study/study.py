@@ -255,7 +255,7 @@ class Study(Laboratory):
         redesign : bool
             Design the filters anew from the stored sweeps, without playing.
         """
-        from feel321.study.actuator.verbs import calibrate_rig
+        from feel321.study.actuator.calibrate import calibrate_rig
 
         return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
 
@@ -276,7 +276,7 @@ class Study(Laboratory):
         seconds : float
             Duration of the pulse train, in s.
         """
-        from feel321.study.actuator.verbs import examine_study_rig
+        from feel321.study.actuator.doctor import examine_study_rig
 
         return examine_study_rig(self, device=device, seconds=seconds)
 
