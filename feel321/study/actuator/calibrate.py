@@ -25,21 +25,11 @@ from feel321.files import make_folder, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator import certificate as certificates
 from feel321.study.actuator import response
+from feel321.study.actuator import rig as rigs
 from feel321.study.actuator.certificate import FOLDER, MEASURED, Certificate, CoilCertificate
-from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import Bench, OnStep, open_bench
 from feel321.study.actuator.render import find_directions, find_rig_problems
-from feel321.study.actuator.rig import (
-    FILE_DEVICE,
-    MARGIN,
-    ActuatorTable,
-    Rig,
-    digest,
-    find_allowed,
-    read_rig,
-    require_sensor,
-    take_device,
-)
+from feel321.study.actuator.rig import ActuatorTable, Rig
 from feel321.study.folder import OpenStudy, Outcome, StudyFolder, UsageError
 from feel321.study.settings.read import read_settings
 from feel321.study.terminal import ask, echo, format_facts, is_answerable
@@ -66,7 +56,7 @@ def make_sweeps(
     main = response.Sweep(
         rate_hz=rate_hz,
         band_hz=own.band_hz,
-        duration_s=min(own.sweep_s, MARGIN * rig.limits.duration_s),
+        duration_s=min(own.sweep_s, rigs.MARGIN * rig.limits.duration_s),
         pause_s=own.pause_s,
         n_repeats=own.repeats,
         peak=peak,
@@ -88,7 +78,7 @@ class CoilRun(response.Response):
 def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, made: str) -> CoilRun:
     """Play sweeps of rising level on one coil."""
     rig, rate_hz = bench.rig, bench.rate_hz
-    level = rig.calibration.level * find_allowed(rig, actuator)
+    level = rig.calibration.level * rigs.find_allowed(rig, actuator)
 
     def sweep(one: response.Sweep) -> tuple[response.Response, Samples]:
         recorded = bench.play_sweep(response.make_sweep(one), one, actuator.channel)
@@ -145,8 +135,8 @@ def _find_safe(rig: Rig, probe: response.Response) -> float:
         (math.log(high_hz) - log_hz) / math.log(response.ABOVE),
     )
     limits = (rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2)
-    allowed = min(*limits, require_sensor(rig).full_scale_m_s2)
-    return MARGIN * allowed / float((np.abs(probe.response) * ramps).max())
+    allowed = min(*limits, rigs.require_sensor(rig).full_scale_m_s2)
+    return rigs.MARGIN * allowed / float((np.abs(probe.response) * ramps).max())
 
 
 def propose_band(rig: Rig, seen: response.Response) -> tuple[response.Band, float]:
@@ -258,7 +248,9 @@ def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertif
     sweep, _ = make_sweeps(rig, rate_hz=bench.rate_hz, peak=top)
     asked = response.make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
-    scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
+    scale = min(
+        top / np.abs(filtered).max(), rigs.MARGIN * rig.limits.peak_m_s2 / coil.target / top
+    )
     recorded = bench.play_sweep(scale * filtered, sweep, coil.channel)
     after = response.measure_sweep(sweep, recorded, sent=scale * asked)
     return judge_filter(rig, coil, run=run, after=after, is_measured=True)
@@ -319,7 +311,9 @@ def name_run(folder: Path, rig: Rig, actuator: ActuatorTable) -> Path:
     """Name the file of a coil's measurements: another rig, or another scale of the sensor, has others."""
     scale = rig.sensor.model_dump_json() if rig.sensor else ""
     sensor = hashlib.sha256(scale.encode()).hexdigest()
-    return folder / FOLDER / "sweeps" / f"{digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"
+    return (
+        folder / FOLDER / "sweeps" / f"{rigs.digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"
+    )
 
 
 def read_run(path: Path) -> CoilRun | None:
@@ -347,7 +341,7 @@ class Calibration:
     def run(self) -> Certificate:
         """Measure the coils, make their filters, and verify them by playing through them."""
         rig, rate_hz, runs = self.rig, self.rate_hz, self.find_runs(within=KEPT)
-        require_sensor(rig)
+        rigs.require_sensor(rig)
         main, quiet = make_sweeps(rig, rate_hz=rate_hz)
         n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
         n_coils, n_silent = len(rig.actuators), round(SILENCE_S * rate_hz)
@@ -393,7 +387,7 @@ class Calibration:
         return replace(self._certify(coils), expires_utc=expires.isoformat(timespec="seconds"))
 
     def _find_last(self) -> Path | None:
-        return max((self.folder / FOLDER).glob(f"*-{digest(self.rig)[:8]}.json"), default=None)
+        return max((self.folder / FOLDER).glob(f"*-{rigs.digest(self.rig)[:8]}.json"), default=None)
 
     def find_runs(self, *, within: timedelta | None = None) -> dict[str, CoilRun]:
         """Find what was measured of the coils on this rig; within: so recently, and since its last certificate."""
@@ -453,12 +447,8 @@ def calibrate_rig(
 ) -> Outcome:
     """Measure the coils, or take typed gains, and store a certificate."""
     folder = lab.folder
-    if not folder.rig.is_file():
-        raise FileNotFoundError(
-            f"{folder.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
-        )
-    rig, rate_hz = read_rig(folder.rig), find_rate(folder)
-    rig = take_device(rig, device) if device else rig
+    rig, rate_hz = rigs.read_rig(folder.rig), find_rate(folder)
+    rig = rigs.take_device(rig, device) if device else rig
     if manual:
         typed, directions = dict(map(_read_gain, manual)), find_directions(rig)[0]
         made = certificates.make_manual(
@@ -498,7 +488,7 @@ def _measure(lab: OpenStudy, rig: Rig, *, rate_hz: float, redesign: bool) -> Cer
     )
     if redesign:
         return own.redesign()
-    if rig.device.name == FILE_DEVICE:
+    if rig.device.name == rigs.FILE_DEVICE:
         raise ValueError(
             'rig.toml plays to files, which no sensor measures; name a device there or with --device ("simulated" '
             "needs no hardware), or type gains with --manual"
@@ -532,11 +522,8 @@ def _find_cost(folder: StudyFolder, rig: Rig, proposed: Certificate) -> Iterator
     if not (folder.stimuli.is_dir() and folder.settings.is_file()):
         yield "the study has no stimuli yet; build them, and calibrate --redesign says how strong they come"
         return
-    stimuli, own = read_stimuli(folder.stimuli), read_settings(folder.settings).rig
-    scale, sounds = own.full_scale_m_s2, dict[str, Frames]()
-    find_rig_problems(
-        rig, stimuli, rate_hz=own.rate_hz, full_scale_m_s2=scale, certificate=proposed, sounds=sounds
-    )  # fmt: skip
+    stimuli, settings = read_stimuli(folder.stimuli), read_settings(folder.settings)
+    _, sounds = find_rig_problems(rig, stimuli, settings, certificate=proposed)
     peaks = {name: float(abs(sound).max()) for name, sound in sounds.items()}
     strongest = max(peaks, key=peaks.__getitem__)
     headroom_db = -20 * math.log10(max(peaks[strongest], 1e-9))

@@ -10,30 +10,17 @@ from typing import Any
 import numpy as np
 
 from feel321.doors import follow
+from feel321.study.actuator import certificate as certificates
 from feel321.study.actuator import faults
+from feel321.study.actuator import rig as rigs
 from feel321.study.actuator.calibrate import find_rate
-from feel321.study.actuator.certificate import (
-    MEASURED,
-    Certificate,
-    judge_certificates,
-    list_certificates,
-)
+from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import Response, Sweep, make_sweep, measure_sweep
-from feel321.study.actuator.rig import (
-    FILE_DEVICE,
-    SIMULATED_DEVICE,
-    ActuatorTable,
-    LimitsTable,
-    Rig,
-    find_allowed,
-    read_rig,
-    require_sensor,
-    take_device,
-)
+from feel321.study.actuator.rig import ActuatorTable, Rig
 from feel321.study.folder import OpenStudy, Outcome, require_study
 from feel321.study.session.ports import Playback
 from feel321.study.terminal import format_facts
@@ -162,7 +149,7 @@ def probe_coils(
         n_repeats=2,
         peak=1.0,
     )
-    asked, found, sensor = make_sweep(sweep), dict[str, dict[str, Any]](), require_sensor(rig)
+    asked, found, sensor = make_sweep(sweep), dict[str, dict[str, Any]](), rigs.require_sensor(rig)
     known = certificate if certificate and certificate.method == MEASURED else None
     diagnosis = faults.Diagnosis(known, rig) if known else None
     if diagnosis is not None:
@@ -170,7 +157,7 @@ def probe_coils(
     with open_bench(rig, rate_hz=rate_hz, n_longest=len(asked)) as bench:
         silence = bench.play({}, n=round(rate_hz))
         for actuator in rig.actuators:
-            peak = PROBE_LEVEL * find_allowed(rig, actuator)
+            peak = PROBE_LEVEL * rigs.find_allowed(rig, actuator)
             if known:
                 motion = known.coils[actuator.name].respond(asked, rate_hz=rate_hz)
                 safe = SAFE * min(rig.limits.peak_m_s2, sensor.full_scale_m_s2)
@@ -210,7 +197,9 @@ def find_fault(
     rig: Rig, actuator: ActuatorTable, seen: Response | None, *, recorded: Samples, sent: Samples
 ) -> str:
     """Name what is wrong with a coil that has no certificate, by what its probe moved."""
-    fault = faults.find_sensor_fault(recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2)
+    fault = faults.find_sensor_fault(
+        recorded, full_scale_m_s2=rigs.require_sensor(rig).full_scale_m_s2
+    )
     if fault or seen is None:
         return fault
     probe = _describe(seen)
@@ -276,19 +265,19 @@ def examine_study_rig(lab: OpenStudy, *, device: str | None, seconds: float) -> 
         require_study(folder.path)
     rate_hz, rig = find_rate(folder), None
     if folder.rig.is_file() or device:
-        limits = LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0)
-        rig = read_rig(folder.rig) if folder.rig.is_file() else Rig(limits=limits)
-        rig = take_device(rig, device) if device else rig
-    name = rig.device.name if rig else FILE_DEVICE
-    devices = [] if name == SIMULATED_DEVICE else survey_devices()
+        limits = rigs.LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0)
+        rig = rigs.read_rig(folder.rig) if folder.rig.is_file() else Rig(limits=limits)
+        rig = rigs.take_device(rig, device) if device else rig
+    name = rig.device.name if rig else rigs.FILE_DEVICE
+    devices = [] if name == rigs.SIMULATED_DEVICE else survey_devices()
     found, known, wrong = dict[str, Any](), dict[str, Any](), list[str]()
-    if rig is not None and name != FILE_DEVICE and seconds:
+    if rig is not None and name != rigs.FILE_DEVICE and seconds:
         with follow(lab.progress, "pulses") as step:
             found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=step)
         if rig.sensor is not None and found["n_failed"] < found["n_pulses"]:
             certificate = None
-            if list_certificates(folder.path):
-                certificate, wrong = judge_certificates(
+            if certificates.list_certificates(folder.path):
+                certificate, wrong = certificates.judge_certificates(
                     folder.path, rig, now=lab.now(), rate_hz=rate_hz
                 )
             coils, hum = probe_coils(rig, certificate, rate_hz=rate_hz)

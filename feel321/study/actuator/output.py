@@ -19,16 +19,8 @@ import numpy as np
 from feel321.files import make_folder, write_bytes
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.wav import encode_wav
-from feel321.study.actuator.device import (
-    BlockTimes,
-    DeviceStream,
-    FileSink,
-    SessionClock,
-    SimulatedStream,
-    Sink,
-    join,
-    refresh_devices,
-)
+from feel321.study.actuator import device as devices
+from feel321.study.actuator.device import BlockTimes, FileSink, SessionClock, Sink
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.response import Sweep, find_slip
 from feel321.study.actuator.rig import Rig, advise_latency, identify, require_sensor
@@ -106,7 +98,7 @@ REVIVING_S = 8.0  # longest wait of a start for a dead device; it may well come 
 BEYOND_S = 5.0  # longest recording of the sensor beyond the stimulus; two latencies of 2 s fit in
 LOOK_S = 0.005  # between two looks at a sink that is waited for
 # Sinks by the name of the device; every other name is an audio device's.
-SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, SimulatedStream)}
+SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, devices.SimulatedStream)}
 
 
 class Output:
@@ -130,7 +122,7 @@ class Output:
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
         self._check, self._name, self.identity = check, "", dict[str, Any]()
-        self._make_sink = SINKS.get(rig.device.name, DeviceStream)
+        self._make_sink = SINKS.get(rig.device.name, devices.DeviceStream)
         self._preroll_s, room = PREROLL_S + 2 * rig.device.latency_s, None
         if self._make_sink is FileSink:
             self._preroll_s = 0.0
@@ -317,7 +309,7 @@ class Output:
             # Looking for devices can hang as long as a sound server does; the session must not.
             self._opening = Thread(target=self._reopen, daemon=True)
             self._opening.start()
-        if not join(self._opening, patience_s=REVIVING_S):
+        if not devices.join(self._opening, patience_s=REVIVING_S):
             return f"device {self._rig.device.name!r} does not answer; check it, then resume"
         self._opening = None
         return self._opening_error
@@ -327,8 +319,8 @@ class Output:
         self._n_dry += 1
         self.close()
         try:
-            if self._make_sink is DeviceStream:
-                refresh_devices()
+            if self._make_sink is devices.DeviceStream:
+                devices.refresh_devices()
             self.open()
         except OSError as problem:
             self._opening_error = str(problem)

@@ -185,6 +185,10 @@ class Rig(fields.TomlTable):
 
 def read_rig(path: Path) -> Rig:
     """Read and check a `rig.toml`."""
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
+        )
     rig = fields.parse_toml(path, Rig)
     uses: dict[int, list[str]] = {}
     for channel, use in rig.outputs():

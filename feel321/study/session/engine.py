@@ -15,18 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.protocols.texts import Question, find_question, read_scales
-from feel321.protocols.threshold import (
-    ATTENUATION_DB,
-    INTERVALS,
-    MIDDLE,
-    SECOND,
-    Detection,
-    Matching,
-)
+from feel321.protocols.threshold import ATTENUATION_DB, INTERVALS, MIDDLE, SECOND, Matching
 from feel321.protocols.trial import FREE, MATCHING, RATING_RANGE, THRESHOLD, Page, Scale, Trial
 from feel321.study.session import events, ports
 from feel321.study.session.events import TIMED_OUT
-from feel321.study.session.plan import Plan, advance, list_by_code, replay
+from feel321.study.session.plan import Plan, advance, list_by_code, recall_detection, replay
 from feel321.study.session.ports import Place, Presenter
 
 if TYPE_CHECKING:
@@ -114,8 +107,8 @@ class Session:
     def __post_init__(self) -> None:
         """Take up the session where the journal leaves it."""
         plan, records = self.plan, self.journal.records
-        self.detection = Detection(plan.threshold) if plan.threshold else None
-        self.flow, self.agenda = plan.flow, replay(plan, records, detection=self.detection)
+        self.flow, self.agenda = plan.flow, replay(plan, records)
+        self.detection = recall_detection(plan, records)
         self.trials = {trial.number: trial for trial in plan.trials}
         self.tasks = {task.protocol: task for task in plan.tasks}
         self.matching = Matching(plan.matching, plan.trials) if plan.matching else None

@@ -354,8 +354,8 @@ def test_a_device_that_hangs_does_not_hang_the_session(
     stream.active = False
     answers = Event()
     monkeypatch.setattr("feel321.study.actuator.output.REVIVING_S", 0.05)
-    monkeypatch.setattr("feel321.study.actuator.output.refresh_devices", answers.wait)
-    monkeypatch.setattr("feel321.study.actuator.output.join", wait_for)
+    monkeypatch.setattr("feel321.study.actuator.device.refresh_devices", answers.wait)
+    monkeypatch.setattr("feel321.study.actuator.device.join", wait_for)
     output.start("a", gap_s=0.0)
     assert not output.is_playing
     assert "does not answer" in output.collect().error
