@@ -9,22 +9,18 @@ value is another one. The sums below are linear in the number of ratings, but on
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pandas import factorize
+from scipy.stats import f, rankdata
 
-from feel321.analysis.arrays import CONFIDENCE, FLAT, Values, read_array
+from feel321.analysis.arrays import FLAT, UPPER, Values, read_array
 from feel321.analysis.table.items import Items, Table, as_votes
 from feel321.doors import check_name
 from feel321.records import Statistic
 
-UPPER = (1 + CONFIDENCE) / 2
 NAN = float("nan")
-
 CHUNK = 1_000_000  # Pairs of values compared at a time
-
-LEVELS = ("nominal", "ordinal", "interval", "ratio")
-"""Levels of measurement."""
-
+LEVELS = ("nominal", "ordinal", "interval", "ratio")  # Of measurement
 AXES = ("targets", "raters")
-
 SMALLEST = 2  # Ratings that can agree; targets and raters that a variance needs at least
 COMPLETE = 0.5  # Share of the stimuli that everyone must have rated for a ceiling of all of them
 
@@ -67,12 +63,7 @@ def krippendorff_alpha(table: Table | ArrayLike, *, level: str = "interval") -> 
     ...     [4, 4, 4, 4], [1, 1, 2, 1], [2, 2, 2, 2], [nan, 5, 5, 5], [nan, nan, 1, 1], [nan, nan, 3, nan]]
     >>> [round(analysis.krippendorff_alpha(table, level=level), 3) for level in ("nominal", "ordinal")]
     [0.743, 0.815]
-    >>> round(analysis.krippendorff_alpha([["oak", "oak"], ["ash", "oak"], ["elm", "elm"]], level="nominal"), 3)
-    0.545
     """
-    from pandas import factorize
-    from scipy.stats import rankdata
-
     check_name(level, LEVELS, "level")
     given = as_votes(table)
     cells = np.asarray(given, dtype=object)
@@ -157,8 +148,6 @@ def intraclass(table: Table | ArrayLike) -> Statistic:
     >>> round(icc.icc_a_1_low, 3), round(icc.icc_a_1_high, 3)
     (0.019, 0.761)
     """
-    from scipy.stats import f
-
     ratings = _read_complete(table)
     n, k = ratings.shape
     of_targets, of_raters = (ratings.mean(axis=axis, keepdims=True) for axis in (1, 0))
@@ -252,18 +241,17 @@ def find_ceiling(items: Items, *, within: bool) -> tuple[float, list[str]]:
     if complete.mean() < COMPLETE:
         few = f"only {complete.sum()} of {items.n_items} stimuli were rated by everyone"
         return NAN, [f"No noise ceiling: {few}."]
-    notes = []
-    if not complete.all():
-        shared = f"the {complete.sum()} stimuli that every participant rated"
-        rest = f"r on all {items.n_items}; r / ceiling is left out"
-        notes.append(f"The noise ceiling rests on {shared}, {rest}.")
     groups = items.recordings[complete] * within
     ceiling = noise_ceiling_within(items.ratings[:, complete].T, groups)
-    if np.isnan(ceiling):
-        where = " of the same recording" if within else ""
-        alike = f"mean ratings do not differ between stimuli{where} beyond noise"
-        notes.append(f"No noise ceiling: {alike}.")
-    return ceiling, notes
+    where = " of the same recording" if within else ""
+    notes = {
+        f"The noise ceiling rests on the {complete.sum()} stimuli that every participant rated, r on all "
+        f"{items.n_items}; r / ceiling is left out.": not complete.all(),
+        f"No noise ceiling: mean ratings do not differ between stimuli{where} beyond noise.": np.isnan(
+            ceiling
+        ),
+    }
+    return ceiling, [note for note, holds in notes.items() if holds]
 
 
 def noise_ceiling_within(table: Values, groups: NDArray[np.intp]) -> float:

@@ -8,11 +8,11 @@ balanced.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from scipy.stats import t
 
 from feel321.analysis.arrays import Values, check_columns, read_array, read_numbers
 from feel321.analysis.resampling import FEWEST_ITEMS, weighted_pearson
@@ -30,32 +30,15 @@ from feel321.records import Statistic
 
 SETTLED = 1e-8  # Norm of the change of all qualities, over the spread of the votes, at which the projections stop
 MOST_ROUNDS = 10_000
-NOISE = 1e-8
-"""Added to squared inconsistencies, over the variance of the votes: a rater without noise would be all that counts."""
-
-LONE = 0.5
-"""Share of all weights at which one rater is all that counts: the estimates have run away."""
-
+NOISE = 1e-8  # Share of the variance of the votes added to squared inconsistencies: nobody is exact
+LONE = 0.5  # Share of all weights at which one rater is all that counts: the estimates run away
 FEWEST_VOTES, FEWEST_RATERS = 3, 3
-FEWEST_COMPARED = 6
-"""Raters below which none can stand out: nobody knows how far honest ones differ."""
-
+FEWEST_COMPARED = 6  # Raters below which nobody knows how far honest ones differ
 LEVEL = 0.05  # Chance that anybody is said to stand out among raters who differ as honest ones do
 MOST_APART = 0.25  # Share of raters who may stand out; with more of them it is not they who are the exception
-FLOOR, PERMUTATIONS = 0.95, 499
-"""Share of permutations that an expert's measure exceeds, and how many there are."""
-
+FLOOR, PERMUTATIONS = 0.95, 499  # Share of permutations that an expert's measure exceeds; number
 MEASURES = ("discrimination", "reliability", "agreement")
-
-
-class _Votes(NamedTuple):
-    """Votes one by one, the numbers of their raters and items, and the names of both."""
-
-    points: Values
-    rater: NDArray[np.intp]
-    item: NDArray[np.intp]
-    raters: tuple[str, ...]
-    items: tuple[str, ...]
+Codes = NDArray[np.intp]
 
 
 def rater_model(
@@ -80,11 +63,6 @@ def rater_model(
         the spread of the stimulus's own residuals, which is wider where people disagree; se_raters, from the raters'
         inconsistencies; n. ``apart``, raters whose inconsistency is unlike the others', the least consistent first;
         ``loglikelihood aic bic``, per rating; ``n_ratings n_parameters n_rounds notes``.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than 3 raters or stimuli, or raters have rated fewer than 3 stimuli, or none twice.
 
     Notes
     -----
@@ -116,36 +94,37 @@ def rater_model(
     >>> model.apart, round(model.raters["bias"].iloc[0])
     (('7',), 9)
     """
-    votes, notes = _read(ratings, scale, level), list[str]()
-    counts, n_items = np.bincount(votes.rater), np.bincount(votes.item)
-    quality, bias, spread, rounds = _alternate(votes, floor=NOISE * votes.points.var())
-    weights = 1 / (spread**2 + NOISE * votes.points.var())
+    points, rater, item, raters, items = _read(ratings, scale, level)
+    counts, n_items, notes = np.bincount(rater), np.bincount(item), list[str]()
+    noise = NOISE * float(points.var())
+    quality, bias, spread, rounds = _alternate(points, rater, item, floor=noise)
+    weights = 1 / (spread**2 + noise)
     if weights.max() >= LONE * weights.sum():
-        alone = f"Weighted by consistency, {votes.raters[int(weights.argmax())]} alone would determine the qualities"
+        alone = f"Weighted by consistency, {raters[int(weights.argmax())]} alone would determine the qualities"
         notes.append(f"{alone}, as happens with few raters; all raters count alike instead.")
-        quality, bias, spread, rounds = _alternate(votes, floor=math.inf)
-    residual = votes.points - quality[votes.item] - bias[votes.rater]
-    n, n_parameters = len(votes.points), len(quality) + 2 * len(bias)
-    held = np.maximum(spread, math.sqrt(NOISE) * votes.points.std())
+        quality, bias, spread, rounds = _alternate(points, rater, item, floor=math.inf)
+    residual = points - quality[item] - bias[rater]
+    n, n_parameters = len(points), len(quality) + 2 * len(bias)
+    held = np.maximum(spread, math.sqrt(noise))
     likely = -np.log(held) - math.log(2 * math.pi) / 2
-    loglikelihood = float((likely[votes.rater] - (residual / held[votes.rater]) ** 2 / 2).mean())
+    loglikelihood = float((likely[rater] - (residual / held[rater]) ** 2 / 2).mean())
     weights = np.ones_like(held) if notes else 1 / held**2
-    means = np.bincount(votes.item, residual) / n_items
-    own = np.bincount(votes.item, (residual - means[votes.item]) ** 2) / n_items
+    means = np.bincount(item, residual) / n_items
+    own = np.bincount(item, (residual - means[item]) ** 2) / n_items
     apart, lacking = find_apart(spread)
-    raters = pd.DataFrame({
+    of_raters = pd.DataFrame({
         "bias": bias, "bias_se": spread / np.sqrt(counts), "inconsistency": spread,
         "inconsistency_se": spread / np.sqrt(2 * counts), "n": counts, "weight": weights / weights.sum(),
         "apart": apart,
-    }, index=pd.Index(votes.raters, name="participant", dtype=object))  # fmt: skip
-    se_raters = 1 / np.sqrt(np.bincount(votes.item, 1 / held[votes.rater] ** 2))
+    }, index=pd.Index(raters, name="participant", dtype=object))  # fmt: skip
+    se_raters = 1 / np.sqrt(np.bincount(item, 1 / held[rater] ** 2))
     stimuli = pd.DataFrame(
         {"quality": quality, "se": np.sqrt(own / n_items), "se_raters": se_raters, "n": n_items},
-        index=pd.Index(votes.items, name=STIMULUS, dtype=object),
+        index=pd.Index(items, name=STIMULUS, dtype=object),
     )
     return Statistic(
-        "RaterModel", raters=raters, stimuli=stimuli,
-        apart=tuple(votes.raters[place] for place in np.argsort(-spread, kind="stable") if apart[place]),
+        "RaterModel", raters=of_raters, stimuli=stimuli,
+        apart=tuple(raters[place] for place in np.argsort(-spread, kind="stable") if apart[place]),
         loglikelihood=loglikelihood, aic=2 * n_parameters / n - 2 * loglikelihood,
         bic=math.log(n) * n_parameters / n - 2 * loglikelihood,
         n_ratings=n, n_parameters=n_parameters, n_rounds=rounds, notes=(*lacking, *notes),
@@ -154,8 +133,6 @@ def rater_model(
 
 def find_apart(inconsistency: Values) -> tuple[NDArray[np.bool_], list[str]]:
     """Find raters whose inconsistency is unlike the others': Rosner's test of the logarithms, one-sided."""
-    from scipy.stats import t
-
     apart = np.zeros(len(inconsistency), dtype=bool)
     if len(inconsistency) < FEWEST_COMPARED:
         few = f"{FEWEST_COMPARED} raters are needed to estimate how much honest ones differ"
@@ -178,7 +155,8 @@ def find_apart(inconsistency: Values) -> tuple[NDArray[np.bool_], list[str]]:
 
 def _read(
     ratings: Table | pd.DataFrame | ArrayLike, scale: str | None, level: str | None
-) -> _Votes:
+) -> tuple[Values, Codes, Codes, list[str], list[str]]:
+    """Read votes one by one, the numbers of their raters and items, and the names of both."""
     if is_tidy(ratings):
         table, _ = leave_rejected(name_stimuli(open_ratings(choose_arms(ratings, scale, level))))
         check_columns(table, ["participant", STIMULUS, "rating"], "ratings")
@@ -200,12 +178,13 @@ def _read(
         raise ValueError(f"raters must have {FEWEST_VOTES} ratings or more, {got}")
     if not np.isfinite(values).all() or np.ptp(values) == 0:
         raise ValueError("ratings must be finite and differ, got others; leave them out")
-    return _Votes(values, rater, item, tuple(map(str, raters)), tuple(map(str, items)))
+    return values, rater, item, list(map(str, raters)), list(map(str, items))
 
 
-def _alternate(votes: _Votes, *, floor: float) -> tuple[Values, Values, Values, int]:
+def _alternate(
+    values: Values, rater: Codes, item: Codes, *, floor: float
+) -> tuple[Values, Values, Values, int]:
     """Estimate qualities, biases and inconsistencies in turn; an infinite floor makes all weights equal."""
-    values, rater, item = votes.points, votes.rater, votes.item
     counts, n_items, size = np.bincount(rater), np.bincount(item), float(values.std())
     quality = np.bincount(item, values) / n_items
     for rounds in range(1, MOST_ROUNDS + 1):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
-from feel321.analysis.figures.style import PAGE_COLOURS
+from feel321.analysis.figures import PAGE_COLOURS
 
 if TYPE_CHECKING:
     from jinja2 import Environment

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from feel321.analysis import figures
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers, stimulus_means
-from feel321.analysis.figures import kinds
-from feel321.analysis.figures.style import assign_looks, make_handles
+from feel321.analysis.figures import assign_looks, make_handles
 from feel321.analysis.table.items import Table, open_tests
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import capitalise, format_measure, format_name
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = None) -> Axes:
-    """Plot mean ratings of test stimuli against a metric, a colour per reducer.
+    """Plot mean ratings of test stimuli, with 95 % t intervals over participants, against a metric.
 
     Parameters
     ----------
@@ -34,24 +34,19 @@ def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = N
         Column to plot against.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same, with 95 % t intervals over participants as vertical lines.
     """
     rows, _ = open_tests(ratings, [metric])
     values = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")[[metric]]
     stimuli = stimulus_means(rows).join(values, on="stimulus_id")
     ax, looks = _find_axes(ax), assign_looks(order_reducers(stimuli["reducer"]))
-    shown = kinds.plot_stimuli(ax, stimuli, metric, looks=looks)
+    shown = figures.plot_stimuli(ax, stimuli, metric, looks=looks)
     ax.set_ylabel(_label_ratings(rows))
     ax.legend(shown.values(), map(format_name, shown))
     return ax
 
 
 def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
-    """Plot the ratings of each reducer, reference and anchor: mean, interval, and every participant.
+    """Plot mean, interval and participants of each reducer, reference and anchor, the highest on top.
 
     Parameters
     ----------
@@ -59,30 +54,25 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
         Ratings; of several scales and levels the means alone, a mark each.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: a row per reducer, the one rated highest on top.
     """
     profile, ax = profile_reducers(ratings), _find_axes(ax)
     names = order_reducers(profile["reducer"])
     part = profile["scale"].map(format_name) + ", " + profile["level"].map(format_name)
     if len(part.unique()) == 1:
-        kinds.plot_profile(ax, profile, participant_means(ratings), looks=assign_looks(names))
+        figures.plot_profile(ax, profile, participant_means(ratings), looks=assign_looks(names))
     else:
         looks = assign_looks(sorted(part.unique()))
         frame = profile.assign(part=part, name=profile["reducer"].map(format_name))
         frame = frame.sort_values("reducer", key=lambda own: own.map(names.index), kind="stable")
         ends = "mean low high"
-        kinds.plot_forest(ax, frame, columns=ends, series="part", looks=looks, include=())
+        figures.plot_forest(ax, frame, columns=ends, series="part", looks=looks, include=())
         ax.legend(handles=list(make_handles(looks).values()), labels=list(looks))
     ax.set_xlabel(_label_ratings(profile))
     return ax
 
 
 def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = None) -> Axes:
-    """Plot the slopes of one or several primary models with their 95 % intervals.
+    """Plot the slopes of one or several primary models, per +0.1 of a metric, with their 95 % intervals.
 
     Parameters
     ----------
@@ -90,11 +80,6 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
         What `fit_primary` or `fit_attributes` returned.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: change in rating per +0.1 of a metric, a heading per model and a row per slope.
     """
     import pandas as pd
 
@@ -107,16 +92,16 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
         tables.append(model.slopes.reset_index().assign(model=name, filled=not model.fit.singular))
     frame = pd.concat(tables)
     frame["name"] = frame["metric"].map(format_name)
-    kinds.plot_forest(
+    figures.plot_forest(
         ax, frame, columns="tenth tenth_low tenth_high", series="metric",
-        looks=kinds.look_up(frame["metric"]), heading="model" if any(frame["model"]) else "",
+        looks=figures.look_up(frame["metric"]), heading="model" if any(frame["model"]) else "",
     )  # fmt: skip
     ax.set_xlabel("Change in rating per +0.1 of the metric")
     return ax
 
 
 def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -> Axes:
-    """Plot correlations with their 95 % two-way intervals, and the noise ceiling of each.
+    """Plot correlations with their 95 % two-way intervals, and the noise ceiling of each as a vertical line.
 
     Parameters
     ----------
@@ -124,11 +109,6 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
         What `correlate` returned, or a table of such: a row each.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: a row per correlation, the first on top; vertical lines are ceilings.
     """
     import pandas as pd
 
@@ -139,14 +119,14 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
     words = frame[keys].astype(str).map(format_name)
     ceilings = frame["ceiling"].to_numpy(float)
     include = (0.0, *ceilings[np.isfinite(ceilings)])
-    kinds.plot_forest(ax, frame.assign(name=words.agg(", ".join, axis=1)), include=include)
+    figures.plot_forest(ax, frame.assign(name=words.agg(", ".join, axis=1)), include=include)
     ax.vlines(ceilings, np.arange(len(frame)) - 0.3, np.arange(len(frame)) + 0.3, color="0.4")
     ax.set_xlabel("Correlation with mean ratings")
     return ax
 
 
 def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Axes:
-    """Plot a recording's axes, or a reduced signal, over time.
+    """Plot a recording's axes, or a reduced signal, over time, in seconds and m/s².
 
     Parameters
     ----------
@@ -154,11 +134,6 @@ def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Ax
         Samples with their rate.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same, in seconds and m/s².
 
     Examples
     --------
@@ -181,7 +156,7 @@ def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Ax
 def plot_spectrum(
     *signals: Recording | Reduced, window_s: float = 0.25, ax: Axes | None = None
 ) -> Axes:
-    """Plot power spectral densities, summed over axes, to compare signals with their recording.
+    """Plot power spectral densities, summed over axes, from 10 Hz on, to compare signals with their recording.
 
     Parameters
     ----------
@@ -191,11 +166,6 @@ def plot_spectrum(
         Length of Welch's windows, in s.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: both axes logarithmic, from 10 Hz on.
     """
     from feel321.stimuli.spectra import psd
 

@@ -12,18 +12,18 @@ References
    audio systems, on post-screening of assessors.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
+from pandas import DataFrame, Series
 
 from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
-from feel321.analysis.arrays import FLAT, check_columns, read_numbers
+from feel321.analysis.arrays import FLAT, Values, check_columns, read_numbers
 from feel321.analysis.consistency import FLOOR, gauge_raters
 from feel321.analysis.resampling import weighted_pearson
 from feel321.analysis.table.items import (
@@ -40,34 +40,20 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.records import Statistic
 from feel321.types import Rng
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-    from pandas import DataFrame, Series
-
-    from feel321.analysis.arrays import Values
-
 FEWEST_JUDGEMENTS = 8  # With fewer judgements, or pairs of them, a habit cannot be told from chance
 REACH = 1.5  # Fences stand this many hinge spreads outside the hinges
 FEWEST_RATERS = 5  # With fewer values no fence can leave one out, or a shape be seen
-UNIMODAL = 5 / 9
-"""Multimodality coefficient of evenly spread values; above it, ratings may have more than one peak."""
-
+UNIMODAL = 5 / 9  # Multimodality of evenly spread values; above it there may be several peaks
 ALL_BUT = 0.95  # Share of ratings at one step from which on nobody is taken to have used the scale
 ONE_SIDED = 1.6448536269514722  # 95 % point of the normal distribution
 FASTEST_S = 0.5  # Nobody feels, weighs and answers in less
-EXCELLENT, MIDDLE = 90.0, 50.0
-"""The hidden reference is to be rated at least 90, the mid anchor at most; the low anchor, in the extension, 50."""
-
-MOST_RATERS = 0.25
-"""If a larger share of raters puts the mid anchor above `EXCELLENT`, the excerpt was hardly degraded by it."""
-
-MOST_STEPS, FULL = 11, 5
-"""Different ratings up to which a scale may be one of few steps; ratings per step from which a slider would show."""
-
+EXCELLENT = 90.0  # The hidden reference is to be rated so at least, the mid anchor at most
+MIDDLE = 50.0  # The low anchor at most, in the extension
+MOST_RATERS = 0.25  # If more of the raters put the mid anchor above 90, it was hardly degraded
+MOST_STEPS = 11  # Different ratings up to which a scale may be one of few steps
+FULL = 5  # Ratings per step from which on a slider would show
 SAME_POINTS = 2.0  # Ratings of a slider that lie no farther apart than this are at the same place
-ANCHORS = ("mid", "low")
-"""Kinds of anchor, known by the name of their reducer or stimulus containing the word."""
-
+ANCHORS = ("mid", "low")  # Kinds of anchor: the reducer or stimulus has the word in its name
 SIGHTED = ("mushra",)
 """Protocols that show the reference beside the stimuli. Limits near the end of the scale presuppose that: somebody who
 rates realism by itself, or a similarity from memory, has no reason to put the original at 90 or above."""
@@ -75,19 +61,17 @@ rates realism by itself, or a similarity from memory, has no reason to put the o
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
 
 
-def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
-    """Medians of the lower and the upper half; for odd n the median belongs to both."""
+def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]:
+    """Find where outlying begins: 1.5 hinge spreads, or steps of a coarse scale, outside the hinges.
+
+    Hinges are the medians of the lower and the upper half; for odd n the median belongs to both.
+    """
     ordered = np.sort(read_numbers(values, what="values").ravel())
     if not len(ordered) or not np.isfinite(ordered).all():
         got = f"got {len(ordered)}, not all finite"
         raise ValueError(f"values must be one or more finite numbers, {got}")
     half = (len(ordered) + 1) // 2
-    return float(np.median(ordered[:half])), float(np.median(ordered[-half:]))
-
-
-def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]:
-    """Find where outlying begins: 1.5 hinge spreads, or steps of a coarse scale, outside the hinges."""
-    low, high = tukey_hinges(values)
+    low, high = float(np.median(ordered[:half])), float(np.median(ordered[-half:]))
     reach = REACH * max(high - low, step)
     return low - reach, high + reach
 
@@ -345,9 +329,7 @@ class Rule(NamedTuple):
 
 
 STANDARD, EXTENSION = "ITU-R BS.1534-3", "extension"
-EXPERTISE = "expertise"
-"""The rule that needs a source of randomness: more than half of its measures are no better than chance."""
-
+EXPERTISE = "expertise"  # The rule that needs a source of randomness
 RULES: Mapping[str, Rule] = MappingProxyType({
     "hidden_reference": Rule(
         "hidden reference below 90 on more than {limit:.0%} of items", STANDARD, 0.15,
@@ -443,11 +425,6 @@ def screen_raters(
         ``stimuli``, per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal (above
         5/9). ``gauge``, of the rule ``expertise``: participant, measure, value, floor and p of its permutation null.
         ``panel``: reliability per scale, of everyone and without those flagged. ``limits`` asked for; ``rules notes``.
-
-    Raises
-    ------
-    ValueError
-        If the table or a rule is not as it must be.
 
     Notes
     -----

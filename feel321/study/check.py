@@ -23,13 +23,12 @@ from feel321.stimuli.sets.recipe import Recipe, find_conditioning
 from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
-from feel321.study.checkpoints import declaring
+from feel321.study.evidence.checkpoints import declaring
 from feel321.study.folder import Problems, StudyFolder
 from feel321.study.minutes import measure_design
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
 from feel321.study.settings import read
-from feel321.study.settings.recordings import list_unread, try_recordings
 from feel321.study.settings.schema import Settings, count_groups
 
 Progress = Callable[[int, int], None]
@@ -44,7 +43,7 @@ def build_study(
     if as_workers(workers).scheduler:
         study = StudyFolder(study.path.absolute())  # as all machines see it
     settings = read.read_settings(study.settings)
-    sources = list_unread(settings, study.path)
+    sources = read.list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
     _protect_used_set(study, settings, recipe)
     with declaring(study, "build"), follow(progress or False, "build") as move:
@@ -57,7 +56,7 @@ def _protect_used_set(study: StudyFolder, settings: Settings, recipe: Recipe) ->
     if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
         return
     # What cannot be read is reported by the build.
-    found = try_recordings(settings, study.path)
+    found = read.try_recordings(settings, study.path)
     digests = {source.name: getattr(one, "sha256", None) for source, one in found}
     try:
         sha256 = read_stimuli(study.stimuli).sha256.encode()
@@ -97,6 +96,8 @@ def check_study(
     study: StudyFolder, *, progress: Progress | None = None, now: Clock = utc_now
 ) -> Problems:
     """Check settings, recordings, pictures, texts, strength of the stimuli, rig and, once built, the stimulus set."""
+    from feel321.stimuli.conform import check_method
+
     try:
         settings = read.read_settings(study.settings)
     except ValueError as error:
@@ -104,52 +105,36 @@ def check_study(
     recipe, unusable = None, []
     try:
         recipe = read.make_recipe(settings, study.path)
-        unusable = _check_methods(study, settings)
+        unusable = [
+            f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
+            for one in read.list_methods(settings, study.path)
+            for found in check_method(one, quick=True)
+            if not found.passed
+        ]
     except (TypeError, ValueError) as error:
         unusable = [f"{study.settings.name}: {error}"]
     own = None if unusable else recipe
-    seen, covariances, problems = _examine(study, settings, own, progress=progress)
+    seen, covariances, faults = _examine(study, settings, own, progress=progress)
     facts = [one for one in seen if not one.fault]
     unread = [one.fault for one in seen if one.fault]
-    rig, rigged = _check_rig(study, settings, now=now)
-    found = Problems()
-    if own is not None and not (unread or problems):
+    rig, found = _check_rig(study, settings, now=now)
+    found = Problems((*unread, *_check_texts(study, settings))) + found
+    found += Problems((*faults, *unusable))
+    if own is not None and not (unread or faults):
         try:
-            found = _foresee(study, settings, seen, recipe=own)
             if rig:
-                reach = strength.find_reach(rig, covariances, own)
-                found = reach.prefix(study.rig.name) + found
+                found += strength.find_reach(rig, covariances, own).prefix(study.rig.name)
+            found += _foresee(study, settings, seen, recipe=own)
         except ValueError as error:
-            found = Problems((str(error),))
-    texts = _check_texts(study, settings)
-    problems = [*unread, *texts, *rigged.problems, *problems, *unusable, *found.problems]
+            found += Problems((str(error),))
     if study.stimuli.exists():
-        problems += _check_set(study, settings, facts, recipe=recipe)
+        found += Problems(tuple(_check_set(study, settings, facts, recipe=recipe)))
     elif study.participants:
         lost = "missing, but sessions were run with it; put it back or build it again"
-        problems.append(f"{study.stimuli}: {lost}")
-    return Problems(
-        problems=tuple(problems),
-        warnings=(
-            *(found.warnings + rigged.warnings),
-            *([] if problems else find_warnings(study, settings, facts)),
-        ),
-        notes=rigged.notes + found.notes,
-        remarks=tuple(f"{one.name}: {text}" for one in facts for text in one.warnings),
-        figures=found.figures,
-    )
-
-
-def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the form of the lab's own reducers and metrics, as far as that is quick."""
-    from feel321.stimuli.conform import check_method
-
-    return [
-        f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
-        for one in read.list_methods(settings, study.path)
-        for found in check_method(one, quick=True)
-        if not found.passed
-    ]
+        found += Problems((f"{study.stimuli}: {lost}",))
+    remarks = tuple(f"{one.name}: {text}" for one in facts for text in one.warnings)
+    warnings = () if found.problems else tuple(find_warnings(study, settings, facts))
+    return found + Problems(warnings=warnings, remarks=remarks)
 
 
 def _examine(
@@ -158,7 +143,7 @@ def _examine(
     """Read each recording once, and measure its stimuli as a build does; keep no samples."""
     history, count = sets.read_history(study.stimuli), len(settings.recordings)
     seen, covariances, faults = list[sets.Facts](), Covariances(), list[str]()
-    for done, (source, recording) in enumerate(try_recordings(settings, study.path), start=1):
+    for done, (source, recording) in enumerate(read.try_recordings(settings, study.path), start=1):
         if isinstance(recording, str):
             own = sets.Facts(source.name, fault=recording)
         elif recipe is None:

@@ -20,19 +20,18 @@ from typing import TYPE_CHECKING, Any, Self
 from feel321.study.actuator import render
 from feel321.study.actuator import rig as rigs
 from feel321.study.actuator.certificate import judge_certificates
-from feel321.study.checkpoints import note_checkpoint
+from feel321.study.evidence.checkpoints import note_checkpoint
 from feel321.study.folder import DELIVERED
 from feel321.study.keys import USUAL, label_key
 from feel321.study.lsl import check_lsl, open_outlet
 from feel321.study.minutes import read_pace
-from feel321.study.observer.model import Casting, find_person, make_model
-from feel321.study.observer.simulated import Participant
+from feel321.study.observer import Casting, Participant, find_person, make_model
 from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place
 from feel321.study.sessions import Room, lead_session, plan_sessions
 from feel321.study.settings import read
-from feel321.study.settings.recordings import list_surfaces, try_recordings
+from feel321.study.settings.read import list_surfaces, try_recordings
 from feel321.study.strength import find_unfelt
 from feel321.study.terminal import CALL, echo, is_terminal
 

@@ -12,7 +12,7 @@ from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.participants.answers import make_keeper
-from feel321.study.participants.numbers import Station, plan_participants
+from feel321.study.participants.roster import Station, plan_participants
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.opening import open_session
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from feel321.study.actuator.mixer import Frames
     from feel321.study.actuator.rig import Rig
     from feel321.study.folder import StudyFolder
-    from feel321.study.observer.model import Casting
+    from feel321.study.observer import Casting
     from feel321.study.settings.schema import Settings
 
 MakePresenter = Callable[[Plan, Journal], AbstractContextManager[Presenter]]

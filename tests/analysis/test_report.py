@@ -450,4 +450,5 @@ def test_scales_come_in_the_order_of_the_study() -> None:
     found = order_scales(table, ("a", "b"))
     assert list(found.rows["scale"]) == list("AABBC")
     assert list(found.rows["rating"]) == [2, 3, 0, 1, 4]
-    assert order_scales(table, ("b", "a")) is order_scales(table, ()) is table
+    assert order_scales(table, ("b", "a")).rows.equals(table.rows)
+    assert order_scales(table, ()) is table

@@ -16,7 +16,6 @@ from feel321.study.actuator.device import SimulatedCoil
 from feel321.study.actuator.render import find_rig_problems, render_stimulus
 from feel321.study.actuator.response import Sweep, make_inverse, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable, Rig, read_rig, take_device
-from feel321.study.auditing.study import audit_study
 from feel321.study.check import check_study
 from feel321.study.folder import StudyFolder
 from feel321.study.run import run_participant
@@ -24,6 +23,7 @@ from feel321.study.session.journal import read_journal
 from feel321.study.sessions import read_room
 from feel321.study.settings.read import read_settings
 from tests.study.actuator.outside import predict
+from tests.study.conftest import audit_study
 
 NOW = datetime(2026, 3, 1, 12, tzinfo=UTC)
 RATE_HZ = 48000.0

@@ -5,25 +5,20 @@ columns ``first``, ``second`` and ``winner``; counts, whose first two columns na
 the wins of each; and, without an order of presentation, trials with the columns ``winner`` and ``loser``.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
+from pandas import DataFrame
+from scipy.special import gammaln, log_expit, xlogy
+from scipy.stats import t
 
-from feel321.analysis.arrays import CONFIDENCE, Values, check_columns, check_draws, read_groups
+from feel321.analysis.arrays import UPPER, Values, check_columns, check_draws, read_groups
 from feel321.analysis.resampling import MOST_UNDEFINED, bootstrap_margin, draw_counts
 from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
+from feel321.types import Rng
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-    from pandas import DataFrame
-
-    from feel321.types import Rng
-
-    Names = NDArray[np.str_]
-    Codes = NDArray[np.intp]
+Names = NDArray[np.str_]
+Codes = NDArray[np.intp]
 
 TRIAL = ("first", "second", "winner")
 TIES = ("refuse", "half")
@@ -156,8 +151,6 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
 
 def _judge_fit(wins: Values, odds: Values) -> tuple[float, float]:
     """Compute the deviance against the model that fits every row, and the binomial log likelihood."""
-    from scipy.special import gammaln, log_expit, xlogy
-
     logs = np.stack([log_expit(odds), log_expit(-odds)], axis=1)
     met = wins.sum(axis=1, keepdims=True)
     deviance = 2 * float((xlogy(wins, wins / met) - wins * logs).sum())
@@ -176,8 +169,6 @@ def _bootstrap_errors(
     everyone: Values, design: Values, *, draws: int, rng: np.random.Generator
 ) -> tuple[Values, list[str]]:
     """Compute standard errors from draws of raters, with what is to be said of them."""
-    from scipy.stats import t
-
     n_raters = len(everyone)
     weights = draw_counts(n_raters, draws, rng=rng)
     drawn, _, astray = _fit_many(np.einsum("dr,rps->dps", weights, everyone), design)
@@ -191,7 +182,7 @@ def _bootstrap_errors(
         few = "too many draws have no estimate; ask for more comparisons per rater"
         alike = "all draws gave the same, so that nothing shows how raters differ"
         notes.append(f"No interval: {few if lost > MOST_UNDEFINED * draws else alike}.")
-    return margins / t.ppf((1 + CONFIDENCE) / 2, n_raters - 1), notes
+    return margins / t.ppf(UPPER, n_raters - 1), notes
 
 
 def _build_design(
@@ -235,11 +226,8 @@ def _fit_many(wins: Values, design: Values) -> tuple[Values, Values, NDArray[np.
 def _tabulate(
     estimates: Values, errors: Values, *, terms: list[str], reference: str, freedom: float
 ) -> DataFrame:
-    from pandas import DataFrame
-    from scipy.stats import t
-
     fixed = DataFrame({"estimate": estimates, "se": errors}, index=terms).rename_axis("item")
-    margin = float(t.ppf((1 + CONFIDENCE) / 2, freedom)) * fixed["se"]
+    margin = float(t.ppf(UPPER, freedom)) * fixed["se"]
     fixed["z"] = fixed["estimate"] / fixed["se"]
     fixed["p"] = 2 * t.sf(np.abs(fixed["z"]), freedom)
     fixed["low"], fixed["high"] = fixed["estimate"] - margin, fixed["estimate"] + margin
@@ -261,8 +249,6 @@ def _read_raters(pairs: DataFrame, rater: str, draws: int) -> Codes:
 
 def _read_rows(pairs: DataFrame, *, ties: str, ordered: bool) -> tuple[Names, Values, int]:
     """Read paired comparisons: names and wins of both, (n_rows, 2), and how many were ties."""
-    from pandas import DataFrame
-
     if not isinstance(pairs, DataFrame):
         got = type(pairs).__name__
         raise TypeError(f"pairs must be a pandas DataFrame, one row per pair or trial, got {got}")

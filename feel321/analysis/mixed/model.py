@@ -1,29 +1,23 @@
 """Linear mixed models: `fit_mixed`, and `contrast` for sums and differences of its effects."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
+from pandas import DataFrame
+from scipy.stats import t as student
 
-from feel321.analysis.arrays import CONFIDENCE
+from feel321.analysis.arrays import UPPER
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
 from feel321.doors import describe
 from feel321.records import Statistic
+from feel321.types import Samples
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from pandas import DataFrame
-
-    from feel321.types import Samples
-
-NEAR, STEPS = 1e-5, 3
-"""A step of a spread after which second derivatives are computed anew, and Newton's steps at most."""
-
+NEAR = 1e-5  # A step of a spread after which second derivatives are computed anew
+STEPS = 3  # Of Newton's method at most
 BOUND = 1 - 1e-6  # A correlation beyond this is one of ±1 but for rounding
 
 
@@ -47,13 +41,11 @@ class Uncertainty:
         With v = w' C w and g its derivatives with respect to the spreads, whose covariance is A, the degrees of
         freedom are 2 v² / g' A g (Satterthwaite 1946, doi 10.2307/3002019; lmerTest, doi 10.18637/jss.v082.i13).
         """
-        from scipy.stats import t as student
-
         variance = float(weights @ self.covariance @ weights)
         slope = np.einsum("i,kij,j->k", weights, self.slopes, weights)
         df = min(float(2 * variance**2 / (slope @ self.parameters @ slope)), self.most_df)
         value, se = float(weights @ self.effects), float(np.sqrt(variance))
-        margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
+        margin = float(student.ppf(UPPER, df)) * se
         p = float(2 * student.sf(abs(value / se), df))
         return Statistic(
             "Estimate", estimate=value, se=se, df=df, t=value / se, p=p, low=value - margin, high=value + margin
@@ -168,13 +160,6 @@ def fit_mixed(
         spread is zero or effects are perfectly tied; ``marginal_r2 conditional_r2``; ``fitted residuals``, (n_rows,),
         with the random effects; ``formula reml n_rows n_levels notes``.
 
-    Raises
-    ------
-    ValueError
-        If the formula cannot be read, a column is missing or has gaps, or the data cannot tell the effects apart.
-    TypeError
-        If the data are no DataFrame.
-
     Notes
     -----
     Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). Do not use it for
@@ -218,8 +203,6 @@ def fit_mixed(
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:
     """Compute everything about a fit that is for people."""
-    import pandas as pd
-
     profile, best, design = solved.profile, solved.best, solved.profile.design
     residual_sd, notes = profile.find_sigma(best), solved.note_zeros()
     spreads, ties = [], []
@@ -269,11 +252,6 @@ def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Statistic:
     Statistic
         ``estimate se df t p``, the value with its t test against 0 on Satterthwaite's degrees of freedom, and ``low
         high``, the 95 % interval.
-
-    Raises
-    ------
-    ValueError
-        If a term is not in the model, or no weight is other than 0.
 
     Notes
     -----

@@ -40,29 +40,25 @@ PLACE = ("scale", "level", "metric")
 def make_cards(found: Mapping[str, Found]) -> list[Row]:
     """Make a card of every slope: its verdict, effect, correlation alone, noise ceiling, and what it depends on."""
     primary, metrics, raters = (found.get(key, Found()) for key in ("primary", "metrics", "raters"))
-    slopes, alone = primary.rows.get("slopes", ()), metrics.rows.get("associations", ())
-    without = raters.facts.get("unflagged", ())
-    unflagged = {tuple(row[key] for key in PLACE): row["verdict"] for row in without}
-    blank: Row = dict.fromkeys(("value", "low", "high"), math.nan)
-    cards = []
+    slopes = (row for row in primary.rows["slopes"] if row["quantity"] == "slope_quartile")
+    effects, without = (
+        {tuple(row[key] for key in PLACE): row for row in rows}
+        for rows in (slopes, raters.facts.get("unflagged", ()))
+    )
+    alone, blank, cards = metrics.rows["associations"], make_row(""), []
     for verdict in primary.verdicts:
         place = {key: verdict[key] for key in PLACE}
+        *part, metric = spot = tuple(place.values())
         within = place | {"method": format_method("within")}
-        effects = {
-            one["metric"]: find_row(slopes, "slope_quartile", **place | {"metric": one["metric"]})
-            for one in primary.verdicts
-            if one["subject"] == verdict["subject"]
-        }
-        effect = effects.pop(verdict["metric"])
-        size, r = effect or blank, find_row(alone, "r", **within) or blank
+        effect, r = effects.get(spot, blank), find_row(alone, "r", **within) or blank
+        others = [other for *of, other in effects if of == part and other != metric]
         cards.append({
-            **verdict, "effect": read_ends(size), "r": read_ends(r),
+            **verdict, "effect": read_ends(effect), "r": read_ends(r),
             "ceiling": (find_row(alone, "ceiling", **within) or blank)["value"],
-            "given": [name for name, other in effects.items() if effect and other],
-            "unflagged": unflagged.get(tuple(place.values()), ""),
+            "given": others if spot in effects else [], "unflagged": without.get(spot, {}).get("verdict", ""),
             "outcome": OPPOSITE if verdict["opposite"] else verdict["verdict"],
             # How ratings go with a metric alone; empty where its interval covers zero.
-            "turned": verdict["verdict"] == PREDICTS and size["value"] * r["value"] < 0,
+            "turned": verdict["verdict"] == PREDICTS and effect["value"] * r["value"] < 0,
             "alone": ("higher" if r["value"] > 0 else "lower") if r["low"] * r["high"] > 0 else "",
         })  # fmt: skip
     return cards
@@ -78,21 +74,11 @@ def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
         outcomes = tuple((card["outcome"], card["turned"]) for card in own)
         alike.setdefault(outcomes, []).append(metric)
     clauses = [clause for group in alike.values() for clause in _group(cards, group)]
-    if "primary" in found:
-        clauses += _list_exceptions(cards, found["primary"].rows.get("exceptions", ()))
+    clauses += _list_exceptions(cards, found.get("primary", Found()).rows["exceptions"])
     for metric, every in by_metric.items():
         if own := [card for card in every if card["beyond_level"] == LOST]:
             clauses.append({"kind": "lost", "metric": metric, "what": name_scales(own, every)})
-    if "raters" in found and any(card["unflagged"] for card in cards):
-        sizes = {name: found["raters"].facts[name] for name in ("flagged", "n_raters")}
-        clauses.append({"kind": "unflagged", **sizes, "ways": _list_ways(by_metric)})
-    others = [{"kind": "other", "text": text} for one in found.values() for text in one.clauses]
-    # More of them stand beneath the cards, where they would be said a second time.
-    return clauses + (others if len(others) <= NAMED or not clauses else [])
-
-
-def _list_ways(by_metric: Mapping[str, Sequence[Row]]) -> list[Row]:
-    """List the verdicts that are others without the raters whom screening rules flag, each once."""
+    # The verdicts that are others without the raters whom screening rules flag, each once.
     ways: dict[tuple[str, str], list[str]] = {}
     for metric, every in by_metric.items():
         for way in dict.fromkeys(card["unflagged"] for card in every if card["unflagged"]):
@@ -100,9 +86,16 @@ def _list_ways(by_metric: Mapping[str, Sequence[Row]]) -> list[Row]:
             turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
             key = OPPOSITE if turned else way, name_scales(own, every)
             ways.setdefault(key, []).append(metric)
-    return [
-        {"kind": way, "what": what, "metrics": own, "few": []} for (way, what), own in ways.items()
-    ]
+    if ways:
+        sizes = {name: found["raters"].facts[name] for name in ("flagged", "n_raters")}
+        said = [
+            {"kind": one, "what": what, "metrics": own, "few": []}
+            for (one, what), own in ways.items()
+        ]
+        clauses.append({"kind": "unflagged", **sizes, "ways": said})
+    others = [{"kind": "other", "text": text} for one in found.values() for text in one.clauses]
+    # More of them stand beneath the cards, where they would be said a second time.
+    return clauses + (others if len(others) <= NAMED or not clauses else [])
 
 
 def _group(cards: Sequence[Row], metrics: Sequence[str]) -> Iterator[Row]:

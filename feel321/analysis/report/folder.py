@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from feel321.analysis.figures.style import save_figure
+from feel321.analysis.figures import save_figure
 from feel321.analysis.page import inline_svg, render_template
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.doors import as_path

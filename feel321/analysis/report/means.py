@@ -16,7 +16,7 @@ import pandas as pd
 from feel321.analysis.agreement import SMALLEST
 from feel321.analysis.association import correlate_items, make_panel
 from feel321.analysis.contrasts import compare
-from feel321.analysis.figures.style import assign_looks
+from feel321.analysis.figures import assign_looks, find_cut
 from feel321.analysis.mixed.model import contrast, fit_mixed
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.primary.plan import make_cells
@@ -54,31 +54,35 @@ LEADING, RANKED, DRAWN = "pearson", "spearman", "within"
 
 
 def compute_correlations(table: Table, choices: Choices) -> Found:
-    """Correlate mean ratings of stimuli with every metric."""
+    """Correlate mean ratings of stimuli with every metric, those that the analysis was not planned for too."""
     found = Found(key="metrics", notes=list(note_apart(table.rows)))
     left_out = (table.rows["role"] != "test") & ~table.rows["scale"].isin(APART)
     for role, count in table.rows.loc[left_out, "role"].value_counts().sort_index().items():
         found.notes.append(f"Associations leave out {count} judgements of stimuli with role '{role}'.")  # fmt: skip
     panels: list[Panel] = []
-    told: list[Row] = []
+    told, draws = list[Row](), choices.draws
     for part in split_tests(table):
-        rng, draws = choices.make_rng("metrics", *part.place), choices.draws
+        rng = choices.make_rng("metrics", *part.place)
         panel = make_panel(part.rows, table.metrics, draws=draws, rng=rng, info=table.info)
         panels.append(panel)
         told.append(_describe_panel(part, panel))
-        _add_associations(found, part, panel.associations, name="associations")
-        for two in panel.differences:
-            found.add("differences", [two], method=format_method(two.method), **part.keys)
+        explored = []
+        for metric, method in product(table.further, (LEADING, RANKED, DRAWN)):
+            items = make_items(part.rows, [metric])
+            rng = choices.make_rng("further", *part.place, metric, method)
+            (one,) = correlate_items(items, (metric,), method, draws=draws, rng=rng)
+            explored.append(one.associate(metric))
+        found.add("associations", _write_rows(panel.associations, part.scale), **part.keys)
+        found.add("differences", _write_rows(panel.differences, part.scale), **part.keys)
         found.add("stimuli", panel.stimuli, **part.keys)
+        found.add("further_associations", _write_rows(explored, part.scale), **part.keys)
         both = (*panel.associations, *panel.differences)
         found.notes += _gather_notes(both, part.lead, most=len(panel.associations))
-        explored = list(explore(part, table.further, choices))
-        _add_associations(found, part, explored, name="further_associations")
         found.notes += _gather_notes(explored, f"{part.lead}, further metrics", most=len(explored))
     ranges: dict[str, list[float]] = {}
-    for one in (one for panel in told for one in panel["found"]):
-        if np.isfinite(one["r"]["value"]):
-            ranges.setdefault(one["metric"], []).append(one["r"]["value"])
+    for row in (row for panel in told for row in panel["found"]):
+        if np.isfinite(row["r"]["value"]):
+            ranges.setdefault(row["metric"], []).append(row["r"]["value"])
     scales = table.rows["scale"]
     # Choices between two stimuli have an answer of their own.
     alone = not panels and not scales.isin(CHOSEN).any()
@@ -94,45 +98,38 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
     return found
 
 
-def _add_associations(found: Found, part: Part, every: Iterable[Statistic], *, name: str) -> None:
+def _write_rows(every: Iterable[Statistic], scale: str) -> Iterator[Row]:
+    """Name methods; of a similarity also give what holds for the dissimilarity, which it turns round."""
+    turn = -1.0 if scale == RECAST else np.nan
     for one in every:
-        row: Row = {**one}
-        if part.scale == RECAST:  # the dissimilarity itself, which a similarity turns round
-            row |= {"turned": -one.value, "turned_low": -one.high, "turned_high": -one.low}
-        found.add(name, [row], method=format_method(one.method), **part.keys)
+        row = {**one, "method": format_method(one.method), "turned": turn * one.value}
+        yield row | {"turned_low": turn * one.high, "turned_high": turn * one.low}
 
 
 def _describe_panel(part: Part, panel: Panel) -> Row:
     """Gather what the template says of the correlations of one scale and level."""
     leading = [one for one in panel.associations if one.method == LEADING]
-    reasons = [one.notes[0] if one.notes else "" for one in leading]
     return {
         **part.keys, "subject": part.subject, "ceiling": leading[0].ceiling, "n_items": leading[0].n_items,
         "found": [
-            {"metric": one.metric, "r": read_ends(one), "covers": covers_zero(one),
-             "why": why.removeprefix("No correlation: ").removesuffix(".")}
-            for one, why in zip(leading, reasons, strict=True)
+            {"metric": one.metric, "r": read_ends(one), "covers": one.low <= 0 <= one.high,
+             "why": "".join(one.notes[:1]).removeprefix("No correlation: ").removesuffix(".")}
+            for one in leading
         ],
         "differences": [
-            {"metrics": [two.first, two.second], "r": read_ends(two), "covers": covers_zero(two)}
+            {"metrics": [two.first, two.second], "r": read_ends(two), "covers": two.low <= 0 <= two.high}
             for two in panel.differences if two.method == LEADING
         ],
     }  # fmt: skip
 
 
-def covers_zero(one: Statistic) -> bool:
-    """Tell whether an interval covers zero."""
-    return bool(one.low <= 0 <= one.high)
-
-
 def _draw(found: Found, shown: Sequence[tuple[Panel, str]], table: Table, *, slug: str) -> None:
-    from feel321.analysis.figures.kinds import find_cut
-
     panels = [panel for panel, _ in shown]
     counts = [int(count) for panel in panels for count in panel.stimuli["n_participants"]]
+    edges = {name: find_cut(name) for name in table.metrics}
     cut = [
-        (int(sum((panel.stimuli[name] < find_cut(name)).sum() for panel in panels)), name)
-        for name in table.metrics
+        (int(sum((panel.stimuli[name] < edge).sum() for panel in panels)), name)
+        for name, edge in edges.items()
     ]
     says = {
         "subjects": [name for _, name in shown], "cut": [pair for pair in cut if pair[0]],
@@ -155,15 +152,6 @@ def _gather_notes(found: Iterable[Any], lead: str, *, most: int) -> Iterator[str
         yield f"{lead}{which}: {note}"
 
 
-def explore(part: Part, metrics: Sequence[str], choices: Choices) -> Iterator[Statistic]:
-    """Correlate mean ratings of stimuli with every metric that the analysis was not planned for."""
-    for metric, method in product(metrics, (LEADING, RANKED, DRAWN)):
-        alone = make_items(part.rows, [metric])
-        rng = choices.make_rng("further", *part.place, metric, method)
-        (drawn,) = correlate_items(alone, (metric,), method, draws=choices.draws, rng=rng)
-        yield drawn.associate(metric)
-
-
 # Ratings per reducer: means, their intervals over participants, hidden reference and anchors beside them.
 
 WAYS = {
@@ -178,12 +166,11 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
     if profile.empty:
         found.notes.append("Only pairs of two test stimuli were rated: no ratings per reducer.")
         return found
-    ranks = {"role": ROLES, REDUCER: order_reducers(profile[REDUCER])}
-    ranks["scale"] = tuple(single["scale"].unique())
-    place = {name: {one: rank for rank, one in enumerate(order)} for name, order in ranks.items()}
+    ranks: Row = {"role": ROLES, REDUCER: order_reducers(profile[REDUCER])}
+    ranks |= {"scale": list(single["scale"].unique()), "level": sorted(single["level"].unique())}
     keys = ["scale", "level", "role", REDUCER]
     listed = profile.sort_values(
-        keys, key=lambda own: own.map(place[own.name]) if own.name in place else own, kind="stable"
+        keys, key=lambda own: own.map(ranks[own.name].index), kind="stable"
     )
     found.add("profiles", listed)
     found.add("participants", people, n=1)
@@ -334,20 +321,18 @@ def _compare_levels(part: DataFrame, steps: Mapping[str, Step]) -> list[Row]:
         groups += ["source"] * (sizes["source"] > 1) + ["source:reducer", "source:reducer:level"]
     terms = [*(f"arm:`{name}_w`" for name in used), *(f"(1 | {group})" for group in groups)]
     formula = " + ".join(["rating ~ 0 + arm", *terms])
-    fit = fit_mixed(formula, cells.assign(arm=cells["level"].map(codes)))
-
-    def compare_two(first: str, second: str) -> Iterator[Row]:
+    fit, found = fit_mixed(formula, cells.assign(arm=cells["level"].map(codes))), []
+    for first, second in combinations(levels, 2):
         one, two = f"arm{codes[first]}", f"arm{codes[second]}"
-        wanted = {"rating": ({one: 1.0, two: -1.0}, "points of rating")}
+        wanted = {"rating": (one, two, 1.0, "points of rating")}
         for name in used:
-            size = steps[name].size
-            weights = {f"{one}:{name}_w": size, f"{two}:{name}_w": -size}
-            wanted[name] = weights, f"points per {steps[name].per} of the metric"
-        pair: Row = {"first_level": first, "second_level": second, "n": len(cells)}
-        for what, (weights, unit) in wanted.items():
-            yield pair | {"of": what, "unit": unit} | dict(contrast(fit, weights))
-
-    return [row for pair in combinations(levels, 2) for row in compare_two(*pair)]
+            unit = f"points per {steps[name].per} of the metric"
+            wanted[name] = f"{one}:{name}_w", f"{two}:{name}_w", steps[name].size, unit
+        for what, (higher, lower, size, unit) in wanted.items():
+            pair = {"first_level": first, "second_level": second, "n": len(cells)}
+            difference = contrast(fit, {higher: size, lower: -size})
+            found.append(pair | {"of": what, "unit": unit} | dict(difference))
+    return found
 
 
 def _gather_arms(part: DataFrame, metrics: tuple[str, ...]) -> DataFrame:

@@ -28,22 +28,28 @@ if TYPE_CHECKING:
 
 def compute_choices(table: Table, choices: Choices) -> Found:
     """Evaluate triplets and preferences, per scale and level."""
-    found = Found(key="choices")
+    found, stimuli = Found(key="choices"), table.stimuli
+    if stimuli is None:
+        found.notes.append("Choices are not evaluated: the table has no stimuli, use read_table.")
+        return found
     for part in split_arms(table.rows[table.rows["scale"].isin(CHOSEN)]):
-        own = replace(table, rows=part.rows.reset_index(drop=True))
-        first, rows = len(found.notes), own.rows
-        roles = [_map_stimuli(own, name, ROLE) for name in (STIMULUS, OTHER)]
-        is_catch = (roles[0] == "anchor") != (roles[1] == "anchor")
+        first, rows = len(found.notes), part.rows.reset_index(drop=True)
+        rows = rows.assign(**{
+            f"{which}_{fact}": rows[name].map(stimuli[fact])
+            for which, name in (("first", STIMULUS), ("second", OTHER))
+            for fact in ("reducer", ROLE)
+        })  # fmt: skip
+        anchors = [rows["first_role"] == "anchor", rows["second_role"] == "anchor"]
+        is_catch = anchors[0] != anchors[1]
         if n := int(is_catch.sum()):
-            chosen = roles[0].where(rows["rating"] == HIGHEST, roles[1])
-            wrong = int((chosen[is_catch] == "anchor").sum())
+            wrong = int(anchors[0].where(rows["rating"] == HIGHEST, anchors[1])[is_catch].sum())
             sizes = {"anchors_chosen": wrong, "catch_trials": n, "n": n}
             found.add("choices_sizes", [sizes], **part.keys)
             found.notes.append(f"an anchor was chosen in {wrong} of {n} catch trials.")
+        found.attempt("", _predict, found, part, replace(table, rows=rows))
         # Catch trials, which are won nearly always, have no part in abilities.
-        votes = replace(own, rows=rows[(roles[0] != "anchor") & (roles[1] != "anchor")])
+        votes = rows[~(anchors[0] | anchors[1])]
         rng = choices.make_rng("choices", *part.place)
-        found.attempt("", _predict, found, part, own)
         found.attempt("", _scale, found, part, votes, draws=choices.draws, rng=rng)
         notes = (note.strip().rstrip(".") for note in found.notes[first:])
         found.notes[first:] = [f"{part.lead}: {note}." for note in notes]
@@ -52,20 +58,14 @@ def compute_choices(table: Table, choices: Choices) -> Found:
     return found
 
 
-def _map_stimuli(table: Table, column: str, attribute: str) -> Any:  # noqa: ANN401 - a column of the table
-    """Look up an attribute of the stimuli that a column names."""
-    known: Any = {} if table.stimuli is None else table.stimuli[attribute]
-    return table.rows[column].map(known)
-
-
 def _predict(found: Found, part: Part, table: Table) -> None:
     """Count how many choices each metric predicts."""
     from feel321.analysis.choices import gather_votes, predict
 
     one = predict(gather_votes(table, table.metrics))
     keys: Row = {**part.keys, "n": one.n_votes}
-    shares = one.to_frame().assign(n_choices=one.n_votes)
-    found.add("choices_predicted", shares, **keys)
+    shares = one.to_frame().sort_values("share", ascending=False, kind="stable")
+    found.add("choices_predicted", one.to_frame().assign(n_choices=one.n_votes), **keys)
     ceilings = [
         {"metric": "majority_of_others", "share": one.others, "low": one.others_low, "high": one.others_high},
         {"metric": "majority_of_all", "share": one.majority, "low": np.nan, "high": np.nan},
@@ -75,10 +75,9 @@ def _predict(found: Found, part: Part, table: Table) -> None:
     found.add("choices_differences", one.differences, **keys)
     sizes = {name: one[name] for name in ("n_participants", "n_recordings", "n_pairs")}
     found.add("choices_sizes", [sizes | {"n": one.n_votes}], **part.keys)
-    found.tell(**describe_prediction(part, table, one))
-    frame = shares.sort_values("share", ascending=False, kind="stable")
-    drawn = 100 * frame[["share", "low", "high"]]
-    drawn["name"] = frame["metric"].map(format_name)
+    found.tell(**describe_prediction(part, table, one, shares=shares.to_dict("records")))
+    drawn = 100 * shares[["share", "low", "high"]]
+    drawn["name"] = shares["metric"].map(format_name)
     places = [100 * row["share"] for row in known]
     band = (min(places), max(places)) if places else (np.nan, np.nan)
     says = {"subject": part.subject, "n": one.n_votes, **sizes}
@@ -87,44 +86,39 @@ def _predict(found: Found, part: Part, table: Table) -> None:
     found.notes += one.notes
 
 
-def describe_prediction(part: Part, table: Table, found: Statistic) -> Row:
+def describe_prediction(part: Part, table: Table, found: Statistic, *, shares: list[Row]) -> Row:
     """Decide which metrics may be said to predict the choices, and whether any predicts more than another."""
     from feel321.analysis.choices import CHANCE
 
     sizes = {"participant": found.n_participants, "recording": found.n_recordings}
-    listed = sorted(found.to_frame().to_dict("records"), key=lambda row: -row["share"])
-    clear = [row for row in listed if row["p_holm"] < parts.SIGNIFICANCE]
+    clear = [row for row in shares if row["p_holm"] < parts.SIGNIFICANCE]
     right = [row for row in clear if row["share"] > CHANCE]
-    told: Row = {
+    best = right[0]["metric"] if right else ""
+    pairs = [
+        (row["first"], row["second"]) if row["difference"] >= 0 else (row["second"], row["first"])
+        for row in found.differences.to_dict("records")
+        if row["p_holm"] < parts.SIGNIFICANCE
+    ]
+    return {
         "scale": part.scale, "subject": part.subject, "level": part.level * part.several,
         "compared": len(found.differences), "estimable": not found.shares["p"].isna().all(),
-        "n_metrics": len(listed), "units": [format_count(size, name) for name, size in sizes.items()],
-        "few": parts.list_few(sizes, FEW),
-        "others": found.others, "highest": listed[0], "right": right,
-        "wrong": [row for row in clear if row["share"] < CHANCE], "worse": [], "without": [],
+        "n_metrics": len(shares), "units": [format_count(size, name) for name, size in sizes.items()],
+        "few": parts.list_few(sizes, FEW), "others": found.others, "highest": shares[0], "right": right,
+        "wrong": [row for row in clear if row["share"] < CHANCE],
+        "worse": [smaller for larger, smaller in pairs if larger == best],
+        "without": list(_find_turns(table, best, list(found.shares.index))) if right else [],
     }  # fmt: skip
-    if right:
-        best = right[0]["metric"]
-        for row in found.differences.to_dict("records"):
-            pair = [row["first"], row["second"]]
-            larger, smaller = pair if row["difference"] >= 0 else reversed(pair)
-            if row["p_holm"] < parts.SIGNIFICANCE and larger == best:
-                told["worse"].append(smaller)
-        told["without"] = list(_find_turns(table, best, list(found.shares.index)))
-    return told
 
 
 def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[str]:
     """Name the reducers without which the leading metric is no longer shown to predict."""
     from feel321.analysis.choices import CHANCE, gather_votes, predict
 
-    rows, stimuli = table.rows, table.stimuli
-    if stimuli is None:
-        return
-    both = [_map_stimuli(table, name, "reducer") for name in (STIMULUS, OTHER)]
-    tested = sorted(stimuli.loc[stimuli[ROLE] == TEST, "reducer"].unique())
-    for name in (name for name in tested if any((ids == name).any() for ids in both)):
-        rest = replace(table, rows=rows[(both[0] != name) & (both[1] != name)])
+    rows = table.rows
+    first, second = rows["first_reducer"], rows["second_reducer"]
+    tested = {*first[rows["first_role"] == TEST], *second[rows["second_role"] == TEST]}
+    for name in sorted(tested):
+        rest = replace(table, rows=rows[(first != name) & (second != name)])
         try:
             left = predict(gather_votes(rest, metrics)).shares.loc[metric]
         except ValueError:
@@ -133,16 +127,17 @@ def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[s
             yield name
 
 
-def _scale(found: Found, part: Part, table: Table, *, draws: int, rng: np.random.Generator) -> None:
+def _scale(
+    found: Found, part: Part, votes: DataFrame, *, draws: int, rng: np.random.Generator
+) -> None:
     """Scale the reducers by Bradley-Terry; shrunken and without intervals where one always won or lost."""
     from feel321.analysis.contrasts.bradley_terry import bradley_terry
 
-    votes = table.rows
     if len(votes["reference_reducer"].unique()) > 1:
         votes = votes[votes["matched"]]  # likeness to one reference is no likeness to another
-    if table.stimuli is None or votes.empty:
+    if votes.empty:
         return
-    first, second = (votes[name].map(table.stimuli["reducer"]) for name in (STIMULUS, OTHER))
+    first, second = votes["first_reducer"], votes["second_reducer"]
     winner = first.where(votes["rating"] == HIGHEST, second)
     pairs = votes[["participant"]].assign(first=first, second=second, winner=winner)
     try:
@@ -167,7 +162,7 @@ def _scale(found: Found, part: Part, table: Table, *, draws: int, rng: np.random
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
-    from feel321.analysis.contrasts.told_apart import discriminate
+    from feel321.analysis.choices import discriminate
 
     found, frame = Found(key="discrimination"), discriminate(table)
     if frame.empty:
@@ -193,7 +188,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
 
 def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Compare dissimilarities from the original with those of identical pairs."""
-    from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
+    from feel321.analysis.choices import EVERY, compare_with_original
 
     found = Found(key="told_apart")
     rows = table.rows[table.rows["scale"] == PAIRED]
@@ -207,9 +202,8 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
         single = own[own["reducer"] != EVERY]
         clear = (single["p_holm"] < parts.SIGNIFICANCE) & (single["difference"] > 0)
         apart, rest = (list(single.loc[which, "reducer"]) for which in (clear, ~clear))
-        told = {"level": str(level) * several, "apart": apart, "n": len(single), "rest": rest}
-        found.tell(**told)
-        found.claim(one=told)
+        found.tell(level=str(level) * several, apart=apart, n=len(single), rest=rest)
+        found.claim(one=found.facts["parts"][-1])
     return found
 
 
@@ -250,15 +244,10 @@ def compute_space(table: Table, choices: Choices) -> Found:
         if one is not None:
             found.add("space_metrics", [one], note=f"{one.permutations} pairings", **keys)
             shown = one.p < parts.SIGNIFICANCE
-            told = {"level": level, "r": one.correlation, "p": one.p, "shown": shown}
-            found.tell(**told)
-            found.claim(one=told)
+            found.tell(level=level, r=one.correlation, p=one.p, shown=shown)
+            found.claim(one=found.facts["parts"][-1])
         why = f"{lead}: axes are not compared with attributes."
-        regressed = found.attempt(why, _regress, table, rows, level=level, choices=choices)
-        if regressed is not None:
-            attributes, notes = regressed
-            found.notes += [f"{lead}: {note}" for note in notes]
-            found.add("space_attributes", attributes, level=level)
+        found.attempt(why, _regress, found, table, rows, level=level, choices=choices)
     return found
 
 
@@ -279,9 +268,7 @@ def _relate(
     return align_spaces(space.positions[known], scaled, permutations=choices.draws, rng=rng)
 
 
-def _regress(
-    table: Table, rows: DataFrame, *, level: str, choices: Choices
-) -> tuple[list[Row], list[str]]:
+def _regress(found: Found, table: Table, rows: DataFrame, *, level: str, choices: Choices) -> None:
     """Regress the attributes of stimuli on the axes of the recordings' maps; also note on how little that rests.
 
     p are adjusted over the metrics that were planned, and over the others; of those that could be small at all.
@@ -290,19 +277,19 @@ def _regress(
 
     rng, draws = choices.make_rng("space", level, "attributes"), min(choices.draws, 1000)
     places, known = gather_points(rows, table.stimuli, rng=rng)
-    found: list[Row] = regress_points(places, known, draws=draws, rng=rng)
+    regressed: list[Row] = regress_points(places, known, draws=draws, rng=rng)
     for is_planned in (True, False):
-        group = [row for row in found if (row["property"] in table.metrics) == is_planned]
+        group = [row for row in regressed if (row["property"] in table.metrics) == is_planned]
         p = [row["p"] if row["p_least"] < parts.SIGNIFICANCE else np.nan for row in group]
         for row, holm in zip(group, adjust_holm(p), strict=True):
             row["p_holm"] = holm
-    (recordings, n), notes = places.shape[:2], []
-    if mute := [row["property"] for row in found if row["p_least"] >= parts.SIGNIFICANCE]:
-        told = f"permutations of {n} stimuli cannot show an association of the axes with"
-        notes.append(f"{told} {', '.join(mute)}.")
-    if recordings * n < ENOUGH * len(found):
-        notes.append(
-            f"{len(found)} attributes are compared with {recordings * n} points ({n} stimuli in {recordings} "
-            f"recordings); {ENOUGH} for each are recommended: R² is descriptive only."
+    recordings, n = places.shape[:2]
+    if mute := [row["property"] for row in regressed if row["p_least"] >= parts.SIGNIFICANCE]:
+        told = f"{PAIRED}, {level}: permutations of {n} stimuli cannot show an association of the axes with"
+        found.notes.append(f"{told} {', '.join(mute)}.")
+    if recordings * n < ENOUGH * len(regressed):
+        found.notes.append(
+            f"{PAIRED}, {level}: {len(regressed)} attributes are compared with {recordings * n} points ({n} stimuli in "
+            f"{recordings} recordings); {ENOUGH} for each are recommended: R² is descriptive only."
         )
-    return found, notes
+    found.add("space_attributes", regressed, level=level)

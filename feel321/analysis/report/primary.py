@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pandas import DataFrame
 
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
     from feel321.types import MetricInfo
 
 HIGHER, LOWER = "higher", "lower"
+PLACE = ("scale", "level", "metric")
 
 BLANK: Row = {
     "verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False, "hinges_on": [],
@@ -38,22 +38,8 @@ BLANK: Row = {
 }  # fmt: skip
 """The verdict on a metric without a slope."""
 
-
-class Analysis(NamedTuple):
-    """The model of a scale and level, what single units do to its slopes, and what metrics declare."""
-
-    part: Part
-    model: Primary
-    influence: Influence
-    info: Mapping[str, MetricInfo]
-
-    @property
-    def units(self) -> dict[str, int]:
-        """How many participants, recordings (or the sources of them) and reducers it rests on."""
-        model = self.model
-        scene = SOURCE if model.n_sources < model.n_recordings else SCENE
-        reducers = {REDUCER: model.n_reducers} if model.n_reducers else {}
-        return {"participant": model.n_participants, scene: model.n_sources} | reducers
+VERDICT = ("scale", "level", "metric", "subject", "ratings", *BLANK)
+"""What programs are told of a slope; the words need more."""
 
 
 def per_step(slopes: DataFrame, steps: Mapping[str, Step]) -> DataFrame:
@@ -70,27 +56,29 @@ def compute(table: Table, choices: Choices) -> Found:
     found = Found(key="primary")
     models, losses = _fit(found, table, choices)
     steps = parts.find_table_steps(table) if models else {}
-    leads = {part.lead: model for part, model in models.items()}
-    slopes: list[Row] = []
+    slopes, told = list[Row](), list[Row]()
     if models:
-        tabulated = per_step(tabulate_slopes(leads), steps)
+        tabulated = per_step(tabulate_slopes({one.lead: fit for one, fit in models.items()}), steps)
         names = ["centred", "centred_low", "centred_high", "plain"]
         tabulated[names] = tabulated[names].mul(tabulated["size"], axis=0)
         slopes = tabulated.to_dict("records")
-    told = []
     for part, model in models.items():
         others = [row["p"] for row in slopes if row["attribute"] != part.lead]
         influence = sensitivity.measure_influence(part.rows, table.metrics, model, others=others)
         if not influence.table.empty:
             influence = replace(influence, table=per_step(influence.table, steps))
-        analysis = Analysis(part, model, influence, table.info)
+        scene = SOURCE if model.n_sources < model.n_recordings else SCENE
+        units = {"participant": model.n_participants, scene: model.n_sources}
+        units |= {REDUCER: model.n_reducers} if model.n_reducers else {}
         rows = [row for row in slopes if row["attribute"] == part.lead]
-        verdicts = keep_steady([conclude_slope(analysis, row) for row in rows])
-        found.verdicts += verdicts
-        _add_rows(found, analysis, rows)
-        more = [_describe_slope(analysis, row) for row in rows]
-        findings = [one | two for one, two in zip(verdicts, more, strict=True)]
-        told.append(_describe_part(analysis, findings))
+        of_part = {**part.keys, "subject": part.subject, "ratings": part.ratings}
+        findings = keep_steady([
+            of_part | conclude_slope(row, model, influence, info=table.info, units=units)
+            for row in rows
+        ])
+        found.verdicts += [{key: one[key] for key in VERDICT} for one in findings]
+        _add_rows(found, part, model, influence=influence, slopes=rows)
+        told.append(_describe_part(part, model, influence, findings=findings) | {"sizes": units})
     for loss in losses:
         keys = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
         found.verdicts += [keys | {"metric": name} | BLANK for name in loss["metrics"]]
@@ -105,14 +93,12 @@ def compute(table: Table, choices: Choices) -> Found:
 
 def _draw_slopes(found: Found, models: Mapping[Part, Primary], steps: Mapping[str, Step]) -> None:
     """Draw the slopes as the table has them: a heading per scale and level, a row per metric."""
-    fits = {part.place: (part.subject, model.fit.singular) for part, model in models.items()}
-    kinds = {step.per for step in steps.values()}
-    rows = []
-    for row in found.rows["slopes"]:
-        subject, is_singular = fits[row["scale"], row["level"]]
+    kinds, rows = {step.per for step in steps.values()}, []
+    fits = {part.place: (part.subject, not model.fit.singular) for part, model in models.items()}
+    for row in (row for row in found.rows["slopes"] if row["quantity"] == "slope"):
+        subject, filled = fits[row["scale"], row["level"]]
         name = format_name(row["metric"]) + f", per {steps[row['metric']].per}" * (len(kinds) > 1)
-        if row["quantity"] == "slope":
-            rows.append(row | {"name": name, "subject": subject, "filled": not is_singular})
+        rows.append(row | {"name": name, "subject": subject, "filled": filled})
     per = kinds.pop() if len(kinds) == 1 else "step"
     label = f"Points of rating per {per} of metric"
     found.draw("slopes", "slopes", DataFrame(rows), label, says={"per": per})
@@ -167,28 +153,39 @@ def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primar
     return model.replace(differences=type(model.differences)(rows))
 
 
-def conclude_slope(analysis: Analysis, row: Row) -> Row:
-    """Conclude about a slope, as data: a program reads it, the templates put it into words."""
-    metric, verdict = str(row["metric"]), conclude(row["p_holm"])
-    info, model = analysis.info.get(metric), analysis.model
-    expected = LOWER if info is not None and info.higher == "worse" else HIGHER
-    direction = ""
+def conclude_slope(
+    row: Row, model: Primary, influence: Influence, *, info: Mapping[str, MetricInfo], units: Mapping[str, int]
+) -> Row:  # fmt: skip
+    """Conclude about a slope, as data: a program reads the verdict, the templates put all of it into words."""
+
+    def describe(unit: Row) -> Row:
+        direction = HIGHER if unit["tenth"] > 0 else LOWER
+        named = {"name": f"{unit['kind']} {unit['unit']}", "verdict": unit["verdict"]}
+        return named | {"direction": direction, "step": read_ends(unit)}
+
+    metric, verdict, direction = str(row["metric"]), conclude(row["p_holm"]), ""
+    expected = LOWER if metric in info and info[metric].higher == "worse" else HIGHER
     if verdict == PREDICTS:
         direction = HIGHER if row["estimate"] > 0 else LOWER
-    hinges = [f"{unit['kind']} {unit['unit']}" for unit in _find_hinges(analysis, row)]
-    least = FEWEST if verdict == NOT_ESTIMABLE else FEW
+    # The units without which a metric that predicts does not, or not in this direction.
+    moves = influence.find_moves(metric).to_dict("records")
+    hinges = [describe(unit) for unit in moves if unit["turns"] and verdict == PREDICTS]
+    moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
     steady = verdict == PREDICTS and direction == expected and not hinges
     pairs = model.differences.to_dict("records") if steady else []
     return {
-        **analysis.part.keys, "metric": metric, "subject": analysis.part.subject, "ratings": analysis.part.ratings,
-        "verdict": verdict, "direction": direction, "higher": "better" if expected == HIGHER else "worse",
-        "opposite": verdict == PREDICTS and direction != expected, "hinges_on": hinges,
+        "metric": metric, "verdict": verdict, "direction": direction,
+        "higher": "better" if expected == HIGHER else "worse",
+        "opposite": verdict == PREDICTS and direction != expected,
+        "hinges_on": [unit["name"] for unit in hinges],
         "better_than": [
             str(pair["second"] if pair["first"] == metric else pair["first"])
             for pair in pairs if metric == find_better(pair)
         ],
-        "few": parts.list_few(analysis.units, least),
+        "few": parts.list_few(units, FEWEST if verdict == NOT_ESTIMABLE else FEW),
         "beyond_level": sensitivity.judge_level(model.level, row["p_holm"], row["plain_p_holm"]),
+        "quartile": read_ends(row, "quartile_effect quartile_low quartile_high"), "p": row["p_holm"],
+        "step": read_ends(row), "per": row["per"], "hinges": hinges, "moves": [] if hinges else moved,
     }  # fmt: skip
 
 
@@ -201,13 +198,6 @@ def keep_steady(verdicts: Sequence[Row]) -> list[Row]:
     ]
 
 
-def _find_hinges(analysis: Analysis, row: Row) -> list[Row]:
-    """Find the units without which a metric that predicts does not, or not in this direction."""
-    claimed = conclude(row["p_holm"]) == PREDICTS
-    turns = analysis.influence.find_turns(str(row["metric"]))
-    return list(turns.to_dict("records")) if claimed else []
-
-
 def find_better(row: Mapping[Any, Any]) -> str:
     """Find which of two metrics has the stronger standardised slope, each in the direction that it declares."""
     low, high = row["standardised_low"], row["standardised_high"]
@@ -216,10 +206,11 @@ def find_better(row: Mapping[Any, Any]) -> str:
     return str(row["first"] if low > 0 else row["second"])
 
 
-def _add_rows(found: Found, analysis: Analysis, slopes: Sequence[Row]) -> None:
+def _add_rows(
+    found: Found, part: Part, model: Primary, *, influence: Influence, slopes: Sequence[Row]
+) -> None:
     """Add the rows of one model and its slopes; of units, first those that turn a verdict or move a slope."""
-    model, influence = analysis.model, analysis.influence
-    keys: Row = {**analysis.part.keys, "n": model.n_rows}
+    keys: Row = {**part.keys, "n": model.n_rows}
     found.add("models", [{**model, "fit": "singular" if model.fit.singular else "regular"}], **keys)
     found.add("spreads", model.fit.variances, **keys)
     found.add("slope_differences", model.differences, **keys)
@@ -237,32 +228,14 @@ def _add_rows(found: Found, analysis: Analysis, slopes: Sequence[Row]) -> None:
     found.add("exceptions", influence.exceptions.reset_index(), **keys)
 
 
-def _describe_slope(analysis: Analysis, row: Row) -> Row:
-    """Gather what the template says of a slope beyond its verdict."""
-
-    def describe(unit: Mapping[Any, Any]) -> Row:
-        direction = HIGHER if unit["tenth"] > 0 else LOWER
-        named = {"name": f"{unit['kind']} {unit['unit']}", "verdict": unit["verdict"]}
-        return named | {"direction": direction, "step": read_ends(unit)}
-
-    metric, hinges = str(row["metric"]), _find_hinges(analysis, row)
-    moves = analysis.influence.find_moves(metric).to_dict("records")
-    moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
-    return {
-        "quartile": read_ends(row, "quartile_effect quartile_low quartile_high"), "p": row["p_holm"],
-        "step": read_ends(row), "per": row["per"],
-        "hinges": list(map(describe, hinges)), "moves": [] if hinges else moved,
-    }  # fmt: skip
-
-
-def _describe_part(analysis: Analysis, findings: Sequence[Row]) -> Row:
+def _describe_part(
+    part: Part, model: Primary, influence: Influence, *, findings: Sequence[Row]
+) -> Row:
     """Gather what the template says of one scale and level."""
-    part, model, influence = analysis.part, analysis.model, analysis.influence
-    kinds: list[str] = []
+    kinds, spreads = list[str](), list[str]()
     if not influence.table.empty:
         tried = influence.table["verdict"] != NOT_ESTIMABLE
         kinds = list(influence.table.loc[tried, "kind"].unique())
-    spreads: list[str] = []
     for name in (one["metric"] for one in findings if one["metric"] in ROTATIONS):
         from feel321.analysis.replication import explain_spread
 
@@ -275,7 +248,7 @@ def _describe_part(analysis: Analysis, findings: Sequence[Row]) -> Row:
         "exceptions": [row for row in odd if row["exceptional"]],
         "spreads": list(filter(None, spreads)),
         "unbounded": any(one["metric"] in STAND_INS.values() for one in findings),
-        "sizes": analysis.units, "n_items": model.n_items, "n_recordings": model.n_recordings,
+        "n_items": model.n_items, "n_recordings": model.n_recordings,
         "level": model.level, "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
     }  # fmt: skip
 
@@ -325,20 +298,18 @@ def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001
         others = own[(own != "") & (own != own["primary"])]
         for reason, names in others.groupby(others, sort=False).groups.items():
             found.notes.append(f"{part.lead}, {'; '.join(names)}: {reason}")
-    if rows := found.rows["variants"]:
-        known = any(math.isfinite(row["low"]) for row in rows if row["quantity"] == "standardised")
-        found.facts |= {"turned": find_turned(rows), "known": known}
+    # Slopes whose interval excludes zero in the primary model, and not so under another choice.
+    rows = [row for row in found.rows["variants"] if row["quantity"] == "standardised"]
+    signs = {tuple(row[key] for key in (*PLACE, "variant")): find_sign(row) for row in rows}
+    known = [row for row in rows if math.isfinite(row["low"])]
+    turned = [
+        row for row in known if find_sign(row) != signs[*(row[key] for key in PLACE), "primary"]
+    ]
+    if rows:
+        found.facts |= {"turned": turned, "known": bool(known)}
     return found
 
 
-def find_turned(rows: Sequence[Row]) -> list[Row]:
-    """Find the slopes whose interval excludes zero in the primary model, and not so under another choice."""
-
-    def sign(row: Row) -> int:
-        return int(row["low"] > 0) - int(row["high"] < 0)
-
-    own = [row for row in rows if row["quantity"] == "standardised"]
-    place = itemgetter("scale", "level", "metric")
-    primary = {place(row): sign(row) for row in own if row["variant"] == "primary"}
-    known = (row for row in own if math.isfinite(row["low"]))
-    return [row for row in known if sign(row) != primary[place(row)]]
+def find_sign(row: Row) -> int:
+    """Find on which side of zero an interval lies; 0 where it covers it."""
+    return int(row["low"] > 0) - int(row["high"] < 0)

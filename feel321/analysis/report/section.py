@@ -15,10 +15,11 @@ import tomllib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from feel321.analysis import figures
 from feel321.analysis.page import TEMPLATES, render_words
 from feel321.analysis.table.items import Part, find_sources, split_tests
 from feel321.analysis.table.metrics import Step, find_steps
@@ -106,12 +107,29 @@ class Quantity(NamedTuple):
     meaning: str = ""
     p: str = ""
 
+    def write(self, rows: Sequence[Row]) -> Iterator[tuple[str, list[str]]]:
+        """Write the columns of a page: words, or value, intervals where there are any, and probability."""
+        if self.kind == "note":
+            yield self.head, [str(row.get("note", "")) for row in rows]
+            return
+        told = [
+            format_estimate(row["value"], row["low"], row["high"], kind=self.kind)
+            if row
+            else ("", "")
+            for row in rows
+        ]
+        yield self.head, [value for value, _ in told]
+        if kinds := [row["interval"] for row in rows if row and math.isfinite(row["low"])]:
+            yield f"{kinds[0][:4]} interval", [interval for _, interval in told]
+        if self.p:
+            yield self.p, [format_number(row["p"], kind="p") if row else "" for row in rows]
+
 
 class TableForm(NamedTuple):
     """A table: the name of its file, its quantities, and what a record's rows are of; on no page without caption.
 
     keys: key of the rows -> heading; one that is the same throughout is left out where it is optional ("?" before the
-    heading). of: key of a row -> name in a record.
+    heading). of: key of a row -> its name in a record, where that is another or no page shows the key.
     """
 
     name: str
@@ -123,18 +141,18 @@ class TableForm(NamedTuple):
 
     def make_rows(self, records: Records, **fixed: Any) -> Iterator[Row]:  # noqa: ANN401 - keys, numbers
         """Make a row of every quantity of every record."""
+        named = {key: self.of.get(key, key) for key in (*self.keys, *self.of) if key not in fixed}
         for record in records.to_dict("records") if hasattr(records, "to_dict") else records:
-            own = {key: record[name] for key, name in self.of.items()}
+            own = fixed | {key: record[name] for key, name in named.items()}
             for quantity in self.quantities:
                 names, _, interval = (quantity.source or quantity.name).partition(" | ")
                 pairs = zip((*ENDS, "note"), names.removeprefix("?").split(), strict=False)
                 ends = {end: name for end, name in pairs if name != "-"}
-                name = ends.get("value")
-                is_known = name in record and record[name] == record[name]  # which NaN is not
-                if names.startswith("?") and not is_known:
+                value = record.get(ends.get("value"))
+                if names.startswith("?") and str(value) in {"None", "nan"}:
                     continue
                 interval = interval or self.interval
-                row = {"interval": INTERVALS.get(interval, interval), **fixed, **own}
+                row = {"interval": INTERVALS.get(interval, interval), **own}
                 yield make_row(quantity.name, **row | {end: record[ends[end]] for end in ends})
 
     def show(self, rows: Sequence[Row]) -> dict[str, Any]:
@@ -147,34 +165,17 @@ class TableForm(NamedTuple):
         for row in rows:
             place = tuple(str(row.get(key, "")) for key in keys)
             lines.setdefault(place, {})[row["quantity"]] = row
-        heads, texts = [self.keys[key].lstrip("?") for key in keys], set(range(len(keys)))
-        columns: list[tuple[Quantity, str]] = []
+        columns, texts = list[tuple[str, Sequence[str]]](), set(range(len(keys)))
+        for key, names in zip(keys, zip(*lines, strict=True), strict=False):
+            told = names if key in RAW else [format_name(name) for name in names]
+            columns.append((self.keys[key].lstrip("?"), told))
         for quantity in shown.values():
-            own = [line[quantity.name] for line in lines.values() if quantity.name in line]
-            parts = {"value": quantity.head} if own else {}
-            if bounded := [row["interval"] for row in own if math.isfinite(row["low"])]:
-                parts["interval"] = f"{'90' if bounded[0].startswith('90') else '95'} % interval"
-            if own and quantity.p:
-                parts["p"] = quantity.p
-            texts |= {len(heads)} if quantity.kind == "note" else set()
-            heads += parts.values()
-            columns += [(quantity, part) for part in parts]
-        names = ([name if key in RAW else format_name(name) for key, name in zip(keys, place, strict=True)]
-                 for place in lines)  # fmt: skip
-        cells = ([_show_cell(line.get(quantity.name), quantity.kind, part) for quantity, part in columns]
-                 for line in lines.values())  # fmt: skip
-        body = [[*name, *cell] for name, cell in zip(names, cells, strict=True)]
-        known = {"name": self.name, "caption": self.caption}
-        return known | {"head": heads, "rows": body, "texts": texts}
-
-
-def _show_cell(row: Row | None, kind: str, part: str) -> str:
-    if row is None or kind == "note":
-        return "" if row is None else str(row["note"])
-    if part == "p":
-        return format_number(row["p"], kind="p")
-    value, interval = format_estimate(row["value"], row["low"], row["high"], kind=kind)
-    return value if part == "value" else interval
+            own = [line.get(quantity.name, {}) for line in lines.values()]
+            texts |= {len(columns)} if quantity.kind == "note" else set()
+            columns += quantity.write(own) if any(own) else ()
+        heads, cells = zip(*columns, strict=True)
+        known = {"name": self.name, "caption": self.caption, "head": heads, "texts": texts}
+        return known | {"rows": list(zip(*cells, strict=True))}
 
 
 @cache
@@ -185,11 +186,11 @@ def read_declared(key: str) -> tuple[Mapping[str, TableForm], Mapping[str, Mappi
     figures = declared.pop("figures", {})
     tables = {}
     for name, own in declared.items():
-        one = {**declared.get(own.pop("like", ""), {}), **own}
-        if isinstance(names := one.get("of", {}), list):  # names alone: those of the record
-            one["of"] = dict(zip(names, names, strict=True))
-        one["quantities"] = [Quantity(*quantity) for quantity in one["quantities"]]
-        tables[name] = TableForm(name, **one)
+        one = {**declared.get(own.get("like", ""), {}), **own}
+        quantities = [Quantity(key, *row) for key, row in one.items() if isinstance(row, list)]
+        quantities += [Quantity(key.lstrip("?"), key) for key in one.get("unshown", "").split()]
+        known = {key: one[key] for key in ("caption", "keys", "of", "interval") if key in one}
+        tables[name] = TableForm(name, quantities=quantities, **known)
     return tables, figures
 
 
@@ -252,15 +253,13 @@ class Found:
     def draw(self, figure: str, slug: str, *data: object, says: Row, **options: Any) -> None:  # noqa: ANN401 - of the kind
         """Add a figure that the template declares, to be drawn of data; says: what its caption needs to know."""
         declared = {**read_declared(self.key)[1][figure], **options}
-        kind, detail = f"draw_{declared.pop('kind')}", declared.pop("detail", False)
-
-        def draw() -> Figure:
-            kinds = import_module("feel321.analysis.figures.kinds")
-            drawn: Figure = getattr(kinds, kind)(*data, **declared)
-            return drawn
-
+        kind, detail = (
+            getattr(figures, f"draw_{declared.pop('kind')}"),
+            declared.pop("detail", False),
+        )
         (caption,) = render_words(self.key, figure, **says)
-        self.pictures.append(Picture(slug, caption, draw, detail))
+        drawing = partial(kind, *data, **declared)
+        self.pictures.append(Picture(slug, caption, drawing, detail))
 
     def tell(self, **facts: object) -> None:
         """Add the facts of a part, such as a scale and level, for the words."""

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from feel321.analysis import words
-from feel321.analysis.figures.style import list_undrawable
+from feel321.analysis.figures import list_undrawable
 from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer
 from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_files, write_folder
@@ -239,41 +239,35 @@ def _open(
 
 def order_scales(table: Table, protocols: Sequence[str]) -> Table:
     """Put the ratings of protocols in the study's order, where the first participant had another."""
-    rows = table.rows
-    if "protocol" not in rows or not protocols:
+    if "protocol" not in table.rows or not protocols:
         return table
     place = {name: number for number, name in enumerate(protocols)}
-    ranks = rows["protocol"].map(place).fillna(len(place))
-    if ranks.drop_duplicates().is_monotonic_increasing:
-        return table
-    order = ranks.sort_values(kind="stable").index
-    return replace(table, rows=rows.loc[order].reset_index(drop=True))
+    ranks = table.rows["protocol"].map(place).fillna(len(place)).sort_values(kind="stable")
+    return replace(table, rows=table.rows.loc[ranks.index].reset_index(drop=True))
 
 
 def describe_inputs(
     given: Mapping[str, Path | DataFrame], *, table: Table, further: Further | None, choices: Choices
 ) -> dict[str, str]:  # fmt: skip
     """Describe everything that decides a report: files, choices and what was handed over, each with its digest."""
-
-    def digest(source: Path | DataFrame) -> str:
-        if isinstance(source, Path):
-            return hashlib.sha256(source.read_bytes()).hexdigest()
-        text = source.to_csv(float_format="%.17g", lineterminator="\n")
-        return hashlib.sha256(text.encode()).hexdigest()
-
-    told: dict[str, str] = {}
+    parts, told = list[tuple[str, str, Any]](), dict[str, str]()
     for role, source in given.items():
         if not isinstance(source, Path):
-            told |= {role: "a table in memory", f"{role}_sha256": digest(source)}
+            parts.append((role, "a table in memory", source))
         elif source.is_file() or role != "participants":
-            told |= {role: source.name, f"{role}_sha256": digest(source)}
+            parts.append((role, source.name, source))
     found = find_sources(table.rows)
     if not found.is_unique:
-        told["sources"] = format_recordings(len(found), found.nunique())
-        told["sources_sha256"] = digest(found.to_frame())
+        parts.append(("sources", format_recordings(len(found), found.nunique()), found.to_frame()))
     if further is not None and not further.metrics.empty:
-        told["further_metrics"] = ", ".join(map(str, further.metrics))
-        told["further_metrics_sha256"] = digest(further.metrics.sort_index())
+        names = ", ".join(map(str, further.metrics))
+        parts.append(("further_metrics", names, further.metrics.sort_index()))
+    for role, name, source in parts:
+        if isinstance(source, Path):
+            content = source.read_bytes()
+        else:
+            content = source.to_csv(float_format="%.17g", lineterminator="\n").encode()
+        told |= {role: name, f"{role}_sha256": hashlib.sha256(content).hexdigest()}
     margin = "none" if choices.margin is None else str(choices.margin)
     told |= {"metrics": ", ".join(table.metrics), "draws": str(choices.draws), "margin": margin}
     return told | {"seed": str(choices.seed)}
@@ -429,17 +423,15 @@ def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]
     import pandas as pd
 
     described = make_dictionary({f"report/{name}.csv": frame for name, frame in frames.items()})
-    forms = [form for section in sections for form in section.tables.values()]
-    known = {(form.name, one.name): one.meaning for form in forms for one in form.quantities}
-    for form in forms:  # a p that is headed as adjusted is said to be
-        for one in form.quantities:
-            if "Holm" in one.p and "Holm" not in one.meaning:
-                known[form.name, one.name] += "; p by Holm"
+    known = {(form.name, one.name): (one.meaning, one.p) for section in sections
+             for form in section.tables.values() for one in form.quantities}  # fmt: skip
     meaning = "in the column value: the quantity that is described"
     rows = [{"file": DICTIONARY, "column": "quantity", "type": "text", "meaning": meaning}]
     for name, frame in frames.items():
         for quantity in frame["quantity"].unique():
-            meaning = known.get((name, quantity)) or quantity.replace("_", " ")
+            meaning, p = known.get((name, quantity), ("", ""))
+            meaning = meaning or quantity.replace("_", " ")
+            meaning += "; p by Holm" * ("Holm" in p and "Holm" not in meaning)  # headed as adjusted
             row = {"file": f"{name}.csv", "column": "value", "quantity": quantity, "type": "number"}
             rows.append(row | {"meaning": meaning})
     return pd.concat([described, pd.DataFrame(rows)], ignore_index=True).fillna("")

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from feel321 import __version__
-from feel321.analysis.figures import style
+from feel321.analysis import figures
 from feel321.analysis.page import render_words
 from feel321.analysis.report.folder import PageParts, PageResult
 from feel321.analysis.report.section import Picture
@@ -247,10 +247,10 @@ def mark_frontier(points: list[dict[str, Any]], *, sign: int = 1) -> list[dict[s
 def draw_speed(points: DataFrame) -> Figure:
     """Draw accuracy against time, a panel per metric, with the frontier."""
     metrics = list(points["metric"].unique())
-    looks = style.assign_looks(list(points["reducer"].unique()))
-    with style.print_style():
+    looks = figures.assign_looks(list(points["reducer"].unique()))
+    with figures.print_style():
         rows = math.ceil(len(metrics) / 2)
-        figure = style.new_canvas(rows * PANEL_CM)
+        figure = figures.new_canvas(rows * PANEL_CM)
         places = figure.subplots(rows, 2, squeeze=False).ravel()
         for axes, metric in zip(places, metrics, strict=False):
             _draw_panel(axes, points[points["metric"] == metric], looks)
@@ -258,20 +258,20 @@ def draw_speed(points: DataFrame) -> Figure:
             axes.set_xlabel("Time relative to the FFT floor")
         for axes in places[len(metrics) :]:
             axes.remove()
-        style.add_legend(figure, style.make_handles(looks))
+        figures.add_legend(figure, figures.make_handles(looks))
     return figure
 
 
-def _draw_panel(axes: Axes, points: DataFrame, looks: Mapping[str, style.Look]) -> None:
+def _draw_panel(axes: Axes, points: DataFrame, looks: Mapping[str, figures.Look]) -> None:
     axes.set_xscale("log")
     front = points[points["on_frontier"]].sort_values("cost_ratio")
-    line: dict[str, Any] = {"drawstyle": "steps-post", "color": style.GREY, "linewidth": 0.9}
+    line: dict[str, Any] = {"drawstyle": "steps-post", "color": figures.GREY, "linewidth": 0.9}
     axes.plot(front["cost_ratio"], front["accuracy"], zorder=2, **line)
     for row in list_rows(points):
         place, look = (row["cost_ratio"], row["accuracy"]), looks[row["reducer"]]
-        style.plot_marks(axes, place[:1], place[1:], look=look, size=5.5, filled=not row["fails"])
+        figures.plot_marks(axes, place[:1], place[1:], look=look, size=5.5, filled=not row["fails"])
     axes.margins(x=0.12, y=0.1)
-    axes.axvline(1.0, color=style.PALE, linewidth=style.THIN, zorder=1)
+    axes.axvline(1.0, color=figures.PALE, linewidth=figures.THIN, zorder=1)
     low, high = points["cost_ratio"].min() / 2, 2 * points["cost_ratio"].max()
     ticks = [tick for tick in TICKS if low <= tick <= high]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])

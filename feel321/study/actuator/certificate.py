@@ -330,12 +330,12 @@ TICKS_HZ = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000)
 
 def draw_certificate(certificate: Certificate, stem: Path) -> None:
     """Draw each coil: its response, its filter, what is left with it, and the limits; save it as SVG."""
-    from feel321.analysis.figures import style
+    from feel321.analysis import figures
 
     coils, (low, high) = list(certificate.coils.values()), certificate.band_hz
     most_db = float(certificate.settings["max_deviation_db"])
-    with style.print_style():
-        figure = style.new_canvas(PANEL_CM * len(coils) + 0.5)
+    with figures.print_style():
+        figure = figures.new_canvas(PANEL_CM * len(coils) + 0.5)
         panels = figure.subplots(len(coils), sharex=True, squeeze=False)[:, 0]
         for axes, coil in zip(panels, coils, strict=True):
             at_hz = coil.frequency_hz[find_inside(coil.frequency_hz, band_hz=(low, high))]
@@ -343,13 +343,13 @@ def draw_certificate(certificate: Certificate, stem: Path) -> None:
             left = np.interp(at_hz, coil.frequency_hz, coil.equalised) / coil.target
             inverse = coil.find_filter(at_hz, rate_hz=certificate.rate_hz)
             for size, name, colour in (
-                (own, "without filter", style.OKABE_ITO[1]),
-                (inverse, "filter", style.OKABE_ITO[2]),
-                (left, "with filter", style.OKABE_ITO[0]),
+                (own, "without filter", figures.OKABE_ITO[1]),
+                (inverse, "filter", figures.OKABE_ITO[2]),
+                (left, "with filter", figures.OKABE_ITO[0]),
             ):
                 level_db = 20 * np.log10(np.maximum(np.abs(size), 1e-9))
                 axes.plot(at_hz, np.maximum(level_db, FLOOR_DB), color=colour, label=name)
-            grey = {"color": style.GREY, "alpha": 0.2, "linewidth": 0}
+            grey = {"color": figures.GREY, "alpha": 0.2, "linewidth": 0}
             axes.fill_between(coil.band_hz, -most_db, most_db, label="limits", **grey)
             axes.set(xscale="log", ylabel="Level (dB)", ylim=(FLOOR_DB - 2, None), xmargin=0)
             scale = f"{coil.target:.3g} m/s² at full scale"
@@ -361,5 +361,5 @@ def draw_certificate(certificate: Certificate, stem: Path) -> None:
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False)
         verdict = "did not pass" if certificate.failures else "passed"
-        style.add_title(figure, f"{certificate.id} ({certificate.method}): {verdict}")
-        style.save_figure(figure, stem)
+        figures.add_title(figure, f"{certificate.id} ({certificate.method}): {verdict}")
+        figures.save_figure(figure, stem)
