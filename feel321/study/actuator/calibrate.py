@@ -432,14 +432,8 @@ def _named(coil: str) -> Iterator[None]:
 
 # The verb.
 
-RATE_HZ = 48000.0  # at which a device is tried that belongs to no study
 ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
 """Fields of a coil's certificate that are too long to print."""
-
-
-def find_rate(folder: StudyFolder) -> float:
-    """Find the rate of a study's stimuli, or the usual one where there is none."""
-    return read_settings(folder.settings).rig.rate_hz if folder.settings.is_file() else RATE_HZ
 
 
 def calibrate_rig(
@@ -447,7 +441,8 @@ def calibrate_rig(
 ) -> Outcome:
     """Measure the coils, or take typed gains, and store a certificate."""
     folder = lab.folder
-    rig, rate_hz = rigs.read_rig(folder.rig), find_rate(folder)
+    rig, own = rigs.read_rig(folder.rig), folder.settings
+    rate_hz = read_settings(own).rig.rate_hz if own.is_file() else rigs.RATE_HZ
     rig = rigs.take_device(rig, device) if device else rig
     if manual:
         typed, directions = dict(map(_read_gain, manual)), find_directions(rig)[0]

@@ -13,7 +13,6 @@ from feel321.doors import follow
 from feel321.study.actuator import certificate as certificates
 from feel321.study.actuator import faults
 from feel321.study.actuator import rig as rigs
-from feel321.study.actuator.calibrate import find_rate
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.mixer import Frames
@@ -23,6 +22,7 @@ from feel321.study.actuator.response import Response, Sweep, make_sweep, measure
 from feel321.study.actuator.rig import ActuatorTable, Rig
 from feel321.study.folder import OpenStudy, Outcome, require_study
 from feel321.study.session.ports import Playback
+from feel321.study.settings.read import read_settings
 from feel321.study.terminal import format_facts
 from feel321.types import Samples
 
@@ -263,7 +263,8 @@ def examine_study_rig(lab: OpenStudy, *, device: str | None, seconds: float) -> 
     folder = lab.folder
     if folder.path != Path():  # without a study a device can be tested
         require_study(folder.path)
-    rate_hz, rig = find_rate(folder), None
+    own, rig = folder.settings, None
+    rate_hz = read_settings(own).rig.rate_hz if own.is_file() else rigs.RATE_HZ
     if folder.rig.is_file() or device:
         limits = rigs.LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0)
         rig = rigs.read_rig(folder.rig) if folder.rig.is_file() else Rig(limits=limits)

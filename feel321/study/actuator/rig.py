@@ -14,6 +14,7 @@ from feel321.study.settings import fields
 
 FILE_DEVICE = "file"  # the name of the device that renders to WAV files
 SIMULATED_DEVICE = "simulated"  # the name of the device that `[simulation]` describes
+RATE_HZ = 48000.0  # at which a device is tried that belongs to no study
 REDUCED = "reduced"  # what an actuator plays of one-axis stimuli
 AXES = ("x", "y", "z")  # of three-axis stimuli, in the order of the channels of their files
 MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
