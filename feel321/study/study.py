@@ -253,7 +253,7 @@ class Study(OpenStudy):
         redesign : bool
             Design the filters anew from the stored sweeps, without playing.
         """
-        from feel321.study.actuator.verbs import calibrate_rig
+        from feel321.study.actuator.calibrate import calibrate_rig
 
         return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
 
@@ -274,7 +274,7 @@ class Study(OpenStudy):
         seconds : float
             Duration of the pulse train, in s.
         """
-        from feel321.study.actuator.verbs import examine_study_rig
+        from feel321.study.actuator.doctor import examine_study_rig
 
         return examine_study_rig(self, device=device, seconds=seconds)
 
