@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
-from itertools import product
+from itertools import count, product
 from typing import Any
 
 import numpy as np
@@ -296,7 +296,7 @@ def simulate_studies(
     *,
     studies: int,
     seed: int = 0,
-    workers: jobs.Workers = jobs.ALONE,
+    workers: int | jobs.Workers = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Samples:
     """Simulate studies: p of every test, (studies, n_hypotheses)."""
@@ -304,13 +304,12 @@ def simulate_studies(
     key = int(sha256(repr(listed).encode()).hexdigest()[:16], 16)
     chunks = [range(start, min(start + CHUNK, studies)) for start in range(0, studies, CHUNK)]
     todo: list[jobs.Job] = [(_fit_studies, (design, [seed, key], places), {}) for places in chunks]
-    found: dict[int, Samples] = {}
+    steps = count(1)
     progress(0, len(todo))
-    for place, chunk in jobs.run_jobs(todo, workers=workers):
-        found[place] = chunk
-        progress(len(found), len(todo))
-    none = np.empty((0, len(design.hypotheses)))
-    return np.concatenate([none, *(found[place] for place in sorted(found))])
+    found = jobs.gather_results(
+        todo, workers=workers, done=lambda: progress(next(steps), len(todo))
+    )
+    return np.concatenate([np.empty((0, len(design.hypotheses))), *found])
 
 
 @hold_threads(0)
