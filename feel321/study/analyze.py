@@ -30,15 +30,21 @@ from feel321.stimuli.sets.manifest import StimulusSet, find_methods, read_stimul
 from feel321.stimuli.sets.recipe import Recipe, Unread, find_conditioning, read_given
 from feel321.stimuli.sets.render import find_reducer
 from feel321.stimuli.synthesis import SCENES, make_scene
-from feel321.study.checkpoints import declaring
+from feel321.study.evidence.checkpoints import declaring
+from feel321.study.evidence.freeze import list_info, make_standing
 from feel321.study.folder import StudyFolder, require_study
-from feel321.study.freeze import list_info, make_standing
 from feel321.study.participants.answers import ANSWERS_FILE, write_answers
 from feel321.study.participants.roster import list_progress, list_remarks, write_roster
-from feel321.study.participants.withdrawal import closing_results
+from feel321.study.participants.traces import closing_results
 from feel321.study.ratings import MATCHES_FILE, describe_matches, write_matches, write_ratings
-from feel321.study.settings.read import find_changes, make_recipe, read_settings
-from feel321.study.settings.recordings import list_origins, open_recordings, try_recordings
+from feel321.study.settings.read import (
+    find_changes,
+    list_origins,
+    make_recipe,
+    open_recordings,
+    read_settings,
+    try_recordings,
+)
 from feel321.study.settings.schema import AnalysisTable, Settings
 
 if TYPE_CHECKING:

@@ -1,7 +1,8 @@
 """`check` and `build`: the steps of a study before its sessions."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,14 +24,12 @@ from feel321.stimuli.sets.recipe import Recipe, find_conditioning
 from feel321.study import strength
 from feel321.study.actuator.certificate import judge_certificates, list_certificates
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
-from feel321.study.checkpoints import declaring
+from feel321.study.evidence.checkpoints import declaring
 from feel321.study.folder import Problems, StudyFolder
 from feel321.study.minutes import measure_design
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan
-from feel321.study.sessions import list_rig_problems
 from feel321.study.settings import read
-from feel321.study.settings.recordings import list_unread, try_recordings
 from feel321.study.settings.schema import Settings, count_groups
 
 Progress = Callable[[int, int], None]
@@ -45,7 +44,7 @@ def build_study(
     if as_workers(workers).scheduler:
         study = StudyFolder(study.path.absolute())  # as all machines see it
     settings = read.read_settings(study.settings)
-    sources = list_unread(settings, study.path)
+    sources = read.list_unread(settings, study.path)
     recipe = read.make_recipe(settings, study.path)
     _protect_used_set(study, settings, recipe)
     with declaring(study, "build"), follow(progress or False, "build") as move:
@@ -58,7 +57,7 @@ def _protect_used_set(study: StudyFolder, settings: Settings, recipe: Recipe) ->
     if not study.stimuli.exists() or not any(study.sessions.glob(f"*/{PLAN_FILE}")):
         return
     # What cannot be read is reported by the build.
-    found = try_recordings(settings, study.path)
+    found = read.try_recordings(settings, study.path)
     digests = {source.name: getattr(one, "sha256", None) for source, one in found}
     try:
         sha256 = read_stimuli(study.stimuli).sha256.encode()
@@ -98,6 +97,8 @@ def check_study(
     study: StudyFolder, *, progress: Progress | None = None, now: Clock = utc_now
 ) -> Problems:
     """Check settings, recordings, pictures, texts, strength of the stimuli, rig and, once built, the stimulus set."""
+    from feel321.stimuli.conform import check_method
+
     try:
         settings = read.read_settings(study.settings)
     except ValueError as error:
@@ -105,52 +106,36 @@ def check_study(
     recipe, unusable = None, []
     try:
         recipe = read.make_recipe(settings, study.path)
-        unusable = _check_methods(study, settings)
+        unusable = [
+            f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
+            for one in read.list_methods(settings, study.path)
+            for found in check_method(one, quick=True)
+            if not found.passed
+        ]
     except (TypeError, ValueError) as error:
         unusable = [f"{study.settings.name}: {error}"]
     own = None if unusable else recipe
-    seen, covariances, problems = _examine(study, settings, own, progress=progress)
+    seen, covariances, faults = _examine(study, settings, own, progress=progress)
     facts = [one for one in seen if not one.fault]
     unread = [one.fault for one in seen if one.fault]
-    rig, rigged = _check_rig(study, settings, now=now)
-    found = Problems()
-    if own is not None and not (unread or problems):
+    rig, found = _check_rig(study, settings, now=now)
+    found = Problems((*unread, *_check_texts(study, settings))) + found
+    found += Problems((*faults, *unusable))
+    if own is not None and not (unread or faults):
         try:
-            found = _foresee(study, settings, seen, recipe=own)
             if rig:
-                reach = strength.find_reach(rig, covariances, own)
-                found = reach.prefix(study.rig.name) + found
+                found += strength.find_reach(rig, covariances, own).prefix(study.rig.name)
+            found += _foresee(study, settings, seen, recipe=own)
         except ValueError as error:
-            found = Problems((str(error),))
-    texts = _check_texts(study, settings)
-    problems = [*unread, *texts, *rigged.problems, *problems, *unusable, *found.problems]
+            found += Problems((str(error),))
     if study.stimuli.exists():
-        problems += _check_set(study, settings, facts, recipe=recipe)
+        found += Problems(tuple(_check_set(study, settings, facts, recipe=recipe)))
     elif study.participants:
         lost = "missing, but sessions were run with it; put it back or build it again"
-        problems.append(f"{study.stimuli}: {lost}")
-    return Problems(
-        problems=tuple(problems),
-        warnings=(
-            *(found.warnings + rigged.warnings),
-            *([] if problems else find_warnings(study, settings, facts)),
-        ),
-        notes=rigged.notes + found.notes,
-        remarks=tuple(f"{one.name}: {text}" for one in facts for text in one.warnings),
-        figures=found.figures,
-    )
-
-
-def _check_methods(study: StudyFolder, settings: Settings) -> list[str]:
-    """Check the form of the lab's own reducers and metrics, as far as that is quick."""
-    from feel321.stimuli.conform import check_method
-
-    return [
-        f"{one} ({one.place}), {found.check}: {found.text.removeprefix(f'{one}: ')}; see feel321 check --method"
-        for one in read.list_methods(settings, study.path)
-        for found in check_method(one, quick=True)
-        if not found.passed
-    ]
+        found += Problems((f"{study.stimuli}: {lost}",))
+    remarks = tuple(f"{one.name}: {text}" for one in facts for text in one.warnings)
+    warnings = () if found.problems else tuple(find_warnings(study, settings, facts))
+    return found + Problems(warnings=warnings, remarks=remarks)
 
 
 def _examine(
@@ -159,7 +144,7 @@ def _examine(
     """Read each recording once, and measure its stimuli as a build does; keep no samples."""
     history, count = sets.read_history(study.stimuli), len(settings.recordings)
     seen, covariances, faults = list[sets.Facts](), Covariances(), list[str]()
-    for done, (source, recording) in enumerate(try_recordings(settings, study.path), start=1):
+    for done, (source, recording) in enumerate(read.try_recordings(settings, study.path), start=1):
         if isinstance(recording, str):
             own = sets.Facts(source.name, fault=recording)
         elif recipe is None:
@@ -286,17 +271,16 @@ def _check_rig(
     study: StudyFolder, settings: Settings, *, now: Clock
 ) -> tuple[Rig | None, Problems]:
     """Check the rig, where there is one, and the certificate that a session would use. An unusable rig is None."""
-    from feel321.study.actuator.render import find_mix
+    from feel321.study.actuator import render
 
     if not study.rig.is_file():
         return None, Problems()
-    name, own, place = study.rig.name, settings.rig, ""
+    name, own = study.rig.name, settings.rig
     try:
         rig = read_rig(study.rig)
-        place = f"{name}: "
-        find_mix(rig)
+        render.find_mix(rig)
     except ValueError as error:
-        return None, Problems(tuple(f"{place}{line}" for line in str(error).splitlines()))
+        return None, Problems(tuple(str(error).splitlines()))
     certificate, faults = judge_certificates(study.path, rig, now=now(), rate_hz=own.rate_hz)
     lines, found = tuple(f"{name}: {fault}" for fault in faults), Problems()
     if certificate is not None:
@@ -311,10 +295,20 @@ def _check_rig(
         stimuli = read_stimuli(study.stimuli)
     except (OSError, ValueError):
         return rig, found  # not built yet, or damaged, which is found by itself
-    problems = list_rig_problems(
-        study, rig, settings=settings, stimuli=stimuli, certificate=certificate
-    )
+    problems, _ = render.find_rig_problems(rig, stimuli, settings, certificate=certificate)
     return rig, found + Problems(tuple(problems))
+
+
+def find_copies(facts: Iterable[sets.Facts]) -> list[str]:
+    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
+    names: defaultdict[str, list[str]] = defaultdict(list)
+    for one in facts:
+        names[one.sha256].append(one.name)
+    return [
+        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
+        for sha256, same in names.items()
+        if sha256 and len(same) > 1
+    ]
 
 
 def find_warnings(
@@ -326,7 +320,7 @@ def find_warnings(
         for name in settings.tasks
         if name not in settings.session.protocols
     ]
-    remarks += sets.find_copies(recordings)
+    remarks += find_copies(recordings)
     remarks += [
         f"recording {one.name!r}, at {one.rate_hz:g} Hz: holds nothing above {one.rate_hz / 2:g} Hz, so its matches "
         f"compare less than 20 to {HIGHEST_HZ:g} Hz; record at {2 * HIGHEST_HZ:g} Hz or more, or report the band"

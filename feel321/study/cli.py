@@ -30,7 +30,7 @@ from cyclopts.exceptions import MissingArgumentError
 
 from feel321 import __version__, files, intake
 from feel321.doors import clean_text
-from feel321.study import options, recording_verbs, study
+from feel321.study import options, verbs
 from feel321.study.folder import SETTINGS_FILE, Outcome, StudyFolder, UsageError, require_study
 from feel321.study.study import Study
 from feel321.study.terminal import CALL, Call, cap, dump_json, echo, wants_bar, warn
@@ -59,9 +59,6 @@ ANYWHERE = {"analyze", "check", "doctor"}  # verbs that can do something without
 READING = {*ANYWHERE, "audit", "calibrate", "export", "status"}
 
 WORDY = {"run"}  # verbs that print as they go, and no numbers at their end
-
-QUICK = {"simulate": "lead_simulated"}
-"""Verbs that call another method than the one that they are made of: it does the same, and starts at once."""
 
 VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 
@@ -209,8 +206,7 @@ def open_study(name: str, path: Path) -> Study:
 
 def make_verb(name: str) -> Callable[..., int]:
     """Make a verb of what has its name: a function whose arguments are those of a command line, and its exit code."""
-    homes = (Study, study, recording_verbs)
-    do: Callable[..., Any] = next(getattr(one, name) for one in homes if hasattr(one, name))
+    do: Callable[..., Any] = getattr(Study, name, None) or getattr(verbs, name)
     parameters = _list_parameters(do)
     if name not in WORDY and inspect.signature(do).return_annotation != "None":
         parameters.append(NAMED("as_json", default=False, annotation=Json))
@@ -220,7 +216,7 @@ def make_verb(name: str) -> Callable[..., int]:
             return finish(do(*words, **given), as_json=as_json)
         path, rest = _split(name, parameters[0], words, into=given.pop("into", None))
         opened = open_study(name, path)
-        found = getattr(opened, QUICK.get(name, name))(*rest, **given)
+        found = getattr(opened, name)(*rest, **given)
         return finish(SHOWN[name](opened, found) if name in SHOWN else found, as_json=as_json)
 
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -311,20 +307,6 @@ def show_set(study: Study, found: StimulusSet) -> Outcome:
     return Outcome(facts, [f"{folder}: {count} stimuli, set {found.sha256[:12]}", *cap(notes)])
 
 
-def show_simulated(study: Study, found: tuple[int, int]) -> Outcome:
-    """Show how many ratings there are, and what was planted in them."""
-    from feel321.study.simulate import regress_planted
-
-    slopes, reducers = regress_planted(study.settings, study.stimuli())
-    file, (people, rows) = str(study.folder.ratings), found
-    facts = {"participants": people, "ratings": rows, "file": file, "planted": slopes}
-    facts |= {"planted_reducers": reducers} if reducers else {}
-    terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in slopes.items()]
-    terms += [f"{points:+.1f} for {reducer}" for reducer, points in reducers.items()]
-    said = f" in realism, in points: {', '.join(terms)}" if terms else ": more than the two matches"
-    return Outcome(facts, [f"{file}: {rows} ratings", f"planted{said}"])
-
-
 def show_status(_study: Study, found: Status) -> Outcome:
     """Show the table of participants."""
     return Outcome(asdict(found), [found.summary()])
@@ -367,7 +349,7 @@ def show_seal(study: Study, found: Seal) -> Outcome:
 
 SHOWN: dict[str, Callable[[Study, Any], Outcome]] = {  # verb -> what shows the result of its method
     "analyze": show_page, "audit": show_audit, "build": show_set, "check": show_problems, "power": show_page,
-    "run": show_session, "seal": show_seal, "simulate": show_simulated, "status": show_status,
+    "run": show_session, "seal": show_seal, "status": show_status,
 }  # fmt: skip
 
 
@@ -409,8 +391,8 @@ def describe_program() -> str:
     options = [("--version", "Show the version."), completion, *EVERYWHERE]
     lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(ABOUT)]
     lines += ["", "Options:", *_format_rows(options)]
-    for title, verbs in GROUPS.items():
-        rows = [(name, read_doc(name).partition("\n\n")[0]) for name in verbs]
+    for title, names in GROUPS.items():
+        rows = [(name, read_doc(name).partition("\n\n")[0]) for name in names]
         lines += ["", f"{title}:", *_format_rows(rows)]
     return "\n".join([*lines, "", "  Begin with: feel321 demo"])
 

@@ -6,21 +6,22 @@ at any point, the same call continues. Sources are only read.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from feel321.files import digest_file, hold_lock, make_folder, sweep, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.folder import StudyFolder, list_delivered, require_study
-from feel321.study.participants import roster, withdrawal
+from feel321.study import withdrawal
+from feel321.study.folder import Outcome, StudyFolder, list_delivered, require_study
+from feel321.study.participants import roster
 from feel321.study.participants.answers import PERSONAL_FILE, read_personal
-from feel321.study.participants.numbers import find_doubles, hold_numbers, read_holder, read_holders
+from feel321.study.participants.roster import find_doubles, hold_numbers, read_holder, read_holders
 from feel321.study.session import journal as journals
 from feel321.study.session.journal import Clock, digest
 from feel321.study.session.opening import find_differences
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, require_own_plan
-from feel321.study.settings.read import make_design, make_terms, read_settings
+from feel321.study.settings.read import make_design, make_identity, read_settings
 
 COLLECT_LOCK = ".collect.lock"
 
@@ -34,6 +35,14 @@ class Collected:
     size: int = 0
     refused: list[str] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+    def report(self, study: StudyFolder) -> Outcome:
+        """Say what was done."""
+        size, who = f"{self.size / 1e6:.1f} MB", ", ".join(self.participants)
+        copied = f"{self.files} files ({size}) of {who}" if self.files else "nothing to copy"
+        refused = [f"refused: {line}" for line in self.refused]
+        lines = [f"{study.path}: {copied}", *refused, *self.notes]
+        return Outcome(asdict(self), lines, failed=bool(refused))
 
     def copy(self, path: Path, content: bytes) -> None:
         """Write a file whole or not at all, and read it back."""
@@ -95,8 +104,12 @@ def _collect_one(
 
 
 def _read_terms(study: StudyFolder) -> Mapping[str, Any]:
+    """Read what all stations of a study have to agree on: all that decides about the sessions."""
     settings = read_settings(study.settings)
-    return make_terms(make_design(settings), settings, study.path)
+    own = asdict(make_design(settings))
+    own["tasks"] = {task["protocol"]: task for task in own["tasks"]}
+    identity = make_identity(settings, study.path, {})
+    return own | {name: identity.get(name) for name in ("locale", "texts_sha256", "rig", "methods")}
 
 
 def _take_withdrawal(study: StudyFolder, there: Path, collected: Collected, *, now: Clock) -> bool:

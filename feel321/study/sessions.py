@@ -12,7 +12,7 @@ from feel321.protocols.texts import make_scales
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.minutes import SIMULATED, Pace, find_durations, find_left
 from feel321.study.participants.answers import make_keeper
-from feel321.study.participants.numbers import Station, plan_participants
+from feel321.study.participants.roster import Station, plan_participants
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Journal
 from feel321.study.session.opening import open_session
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from feel321.study.actuator.mixer import Frames
     from feel321.study.actuator.rig import Rig
     from feel321.study.folder import StudyFolder
-    from feel321.study.observer.model import Casting
+    from feel321.study.observer import Casting
     from feel321.study.settings.schema import Settings
 
 MakePresenter = Callable[[Plan, Journal], AbstractContextManager[Presenter]]
@@ -104,30 +104,3 @@ def lead_session(
                 own, shown, stimuli=stimuli, journal=journal, scales=scales, on_step=note, keep=keep
             )
         return outcome, journal.notice
-
-
-def list_rig_problems(
-    study: StudyFolder,
-    rig: Rig,
-    *,
-    settings: Settings,
-    stimuli: StimulusSet,
-    certificate: Certificate | None = None,
-    sounds: dict[str, Frames] | None = None,
-) -> list[str]:
-    """List the problems that keep a rig from playing a study's stimuli as they are; sounds: takes them, rendered."""
-    from feel321.study.actuator import render
-
-    own, name = settings.rig, study.rig.name
-    try:
-        render.find_mix(rig)
-    except ValueError as error:
-        return [f"{name}: {error}"]
-    rate_hz, most = own.rate_hz, own.full_scale_m_s2
-    problems = render.find_rig_problems(
-        rig, stimuli, rate_hz=rate_hz, full_scale_m_s2=most, certificate=certificate, sounds=sounds
-    )
-    if threshold := settings.session.threshold:
-        block = threshold.make_block()
-        problems += render.find_tone_problems(block, rig, rate_hz=rate_hz, certificate=certificate)
-    return [f"{name}: {problem}" for problem in problems]

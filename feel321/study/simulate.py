@@ -8,11 +8,18 @@ from itertools import count
 from threading import Event, Lock
 from typing import NamedTuple
 
+from feel321.doors import follow
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
-from feel321.study.checkpoints import note_checkpoint
-from feel321.study.folder import StudyFolder
-from feel321.study.observer.model import Casting, Touch, expect_rating, find_person, make_model
-from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.evidence.checkpoints import note_checkpoint
+from feel321.study.folder import OpenStudy, Outcome, StudyFolder
+from feel321.study.observer import (
+    Casting,
+    SimulatedObserver,
+    Touch,
+    expect_rating,
+    find_person,
+    make_model,
+)
 from feel321.study.participants.answers import write_answers
 from feel321.study.participants.roster import write_roster
 from feel321.study.ratings import write_matches, write_ratings
@@ -61,6 +68,22 @@ def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
     metrics = (model.spectral_metric, "temporal_match")
     slopes = {name: slope / 10 for name, slope in zip(metrics, found[:2], strict=True)}
     return Planted(slopes, dict(zip(terms, found[2:], strict=True)))
+
+
+def report_simulated(lab: OpenStudy, participants: int, seed: int | None) -> Outcome:
+    """Run the sessions of simulated participants, and say how many ratings there are and what was planted in them."""
+    study = lab.folder
+    with follow(lab.progress, "simulate") as step:
+        rows = simulate_study(
+            study, participants=participants, seed=seed, now=lab.now, progress=step, warn=lab.say
+        )
+    slopes, reducers = regress_planted(read_settings(study.settings), read_stimuli(study.stimuli))
+    facts = {"participants": participants, "ratings": rows, "file": str(study.ratings)}
+    facts |= {"planted": slopes} | ({"planted_reducers": reducers} if reducers else {})
+    terms = [f"{slope:.2f} per +0.1 of {metric}" for metric, slope in slopes.items()]
+    terms += [f"{points:+.1f} for {reducer}" for reducer, points in reducers.items()]
+    said = f" in realism, in points: {', '.join(terms)}" if terms else ": more than the two matches"
+    return Outcome(facts, [f"{study.ratings}: {rows} ratings", f"planted{said}"])
 
 
 def simulate_study(

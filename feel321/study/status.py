@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from collections import Counter, defaultdict
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime
 from itertools import groupby
 from pathlib import Path
@@ -29,13 +29,16 @@ from feel321.study.terminal import echo
 from feel321.study.thresholds import find_warnings, read_thresholds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from pandas import DataFrame
 
     from feel321.protocols.trial import Trial
     from feel321.study.folder import StudyFolder
     from feel321.study.session.journal import Chain, Clock
+
+    # What was derived of each participant, and the trials that count for the balance; kept while no file changes.
+    Known = dict[Path, tuple[Dossier, Progress, list[Trial]]]
 
 CALLED = "called"  # state of a session whose device failed until the experimenter comes
 GOING_ON = {"claimed", "running", "aborted", CALLED}  # states of those who have something left
@@ -115,105 +118,105 @@ class Status(Result):
         return f"Status({states or 'no participants'})"
 
 
-@dataclass(slots=True)
-class Watch:
-    """Looks at the sessions of a study; known: what was derived of each participant whose files have not changed."""
+def look(
+    study: StudyFolder,
+    known: Known,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> tuple[list[Progress], minutes.Length | None]:
+    """Read the progress of everybody, and how long sessions take, where there is a stimulus set; known: is updated."""
+    folders = study.participants
+    entries = dict[Path, Progress]()
+    for done, folder in enumerate(folders, start=1):
+        entries[folder] = _read(study, folder, known)
+        progress(done, len(folders))
+    dossiers, length = {folder: known[folder][0] for folder in known}, None
+    with suppress(OSError, ValueError):
+        durations = minutes.find_durations(read_stimuli(study.stimuli))
+        pace = minutes.observe_pace(dossiers.values(), durations)
+        for folder, one in dossiers.items():
+            if entries[folder].state in GOING_ON:
+                left = minutes.find_left(one.plan, one.records, durations=durations, pace=pace)
+                left_min = max(left.values()) / SECONDS
+                entries[folder] = replace(entries[folder], left_min=left_min)
+        plans = [one.plan for one in dossiers.values()]
+        length = minutes.measure_length(plans, durations, pace) if plans else None
+    return list(entries.values()), length
 
-    study: StudyFolder
-    known: dict[Path, tuple[Dossier, Progress, list[Trial]]] = field(default_factory=dict)
 
-    def look(
-        self, progress: Callable[[int, int], None] = lambda _done, _total: None
-    ) -> tuple[list[Progress], minutes.Length | None]:
-        """Read the progress of everybody, and how long sessions take, where there is a stimulus set."""
-        folders = self.study.participants
-        entries = dict[Path, Progress]()
-        for done, folder in enumerate(folders, start=1):
-            entries[folder] = self._read(folder)
-            progress(done, len(folders))
-        dossiers, length = {folder: self.known[folder][0] for folder in self.known}, None
-        with suppress(OSError, ValueError):
-            durations = minutes.find_durations(read_stimuli(self.study.stimuli))
-            pace = minutes.observe_pace(dossiers.values(), durations)
-            for folder, one in dossiers.items():
-                if entries[folder].state in GOING_ON:
-                    left = minutes.find_left(one.plan, one.records, durations=durations, pace=pace)
-                    left_min = max(left.values()) / SECONDS
-                    entries[folder] = replace(entries[folder], left_min=left_min)
-            plans = [one.plan for one in dossiers.values()]
-            length = minutes.measure_length(plans, durations, pace) if plans else None
-        return list(entries.values()), length
-
-    def _read(self, folder: Path) -> Progress:
-        """Read a participant; a session that no live process writes is `aborted`, not `running`."""
-        before = self.known.pop(folder, None)
-        if (folder / TOMBSTONE_FILE).exists():
-            return Progress(folder.name, state="withdrawn")
-        try:
-            dossier = self.study.read_person(folder)
-            if before is None or before[0] is not dossier:
-                before = dossier, *_derive(dossier)
-        except (OSError, ValueError) as error:
-            return Progress(folder.name, problem=str(error))
-        self.known[folder] = before
-        own = before[1]
-        calls = [
-            one.event
-            for one in dossier.records
-            if one.event == events.DeviceFailed.event
-            or (one.event == events.PageRead.event and one.data.get("key") == "call_us")
-        ]
-        if own.state != "released" and calls[-1:] == [events.DeviceFailed.event]:
-            return replace(own, state=CALLED)
-        is_left = own.state == "running" and not is_held(folder / LOCK_FILE)
-        return replace(own, state="aborted") if is_left else own
-
-    def write_page(self, now: datetime, *, is_over: bool = False) -> str:
-        """Write the page; nothing that was written in free words is shown."""
-        from feel321.analysis.page import render_template
-
-        rows: list[dict[str, Any]] = []
-        for one in sorted(self.look()[0], key=lambda one: STATES.index(one.state)):
-            warnings = [text for text in one.warnings if not text.startswith(CALLED_FOR)]
-            quiet_min = None
-            if one.state in GOING_ON and one.last_activity:
-                quiet = now - datetime.fromisoformat(one.last_activity)
-                quiet_min = max(0.0, quiet.total_seconds() / 60)
-            rows.append({"own": one, "warnings": warnings, "quiet_min": quiet_min})
-        return render_template(
-            "watch.html",
-            study=self.study.path.resolve().name,
-            is_rehearsal=self.study.is_rehearsal,
-            now=now.astimezone(),
-            every_s=None if is_over else EVERY_S,
-            rows=rows,
-        )
+def _read(study: StudyFolder, folder: Path, known: Known) -> Progress:
+    """Read a participant; a session that no live process writes is `aborted`, not `running`."""
+    before = known.pop(folder, None)
+    if (folder / TOMBSTONE_FILE).exists():
+        return Progress(folder.name, state="withdrawn")
+    try:
+        dossier = study.read_person(folder)
+        if before is None or before[0] is not dossier:
+            before = dossier, *_derive(dossier)
+    except (OSError, ValueError) as error:
+        return Progress(folder.name, problem=str(error))
+    known[folder] = before
+    own, failed = before[1], events.DeviceFailed.event
+    calls = [
+        one.event
+        for one in dossier.records
+        if one.event == failed
+        or (one.event == events.PageRead.event and one.data.get("key") == "call_us")
+    ]
+    if own.state != "released" and calls[-1:] == [failed]:
+        return replace(own, state=CALLED)
+    is_left = own.state == "running" and not is_held(folder / LOCK_FILE)
+    return replace(own, state="aborted") if is_left else own
 
 
 def read_status(
     study: StudyFolder, *, progress: Callable[[int, int], None] = lambda _done, _total: None
 ) -> Status:
     """Read the progress of a study, also while sessions run."""
-    watch = Watch(study)
-    entries, length = watch.look(progress)
-    run = [(dossier, trials) for dossier, _, trials in watch.known.values()]
+    known: Known = {}
+    entries, length = look(study, known, progress)
+    run = [(dossier, trials) for dossier, _, trials in known.values()]
     return Status(tuple(entries), measure_realised(run), length)
 
 
 def watch_study(study: StudyFolder, page: Path, *, now: Clock) -> None:
     """Write the page and renew it until Ctrl-C, each time whole; its last version says that it ended."""
+    from feel321.study.participants.traces import recording_output
+
     if page.exists() and OWN_PAGE not in page.read_text(encoding="utf-8", errors="replace"):
         raise FileExistsError(
             f"{page}: exists and is no page of status --watch, so it is not overwritten; choose another name"
         )
-    watch = Watch(study)
-    write_text(page, watch.write_page(now()), private=True)
-    echo(page, err=True)
-    with suppress(KeyboardInterrupt):
-        while True:
-            time.sleep(EVERY_S)
-            write_text(page, watch.write_page(now()), private=True)
-    write_text(page, watch.write_page(now(), is_over=True), private=True)
+    known: Known = {}
+    with recording_output(study, "status", page, now=now):
+        write_text(page, write_page(study, known, now()), private=True)
+        echo(page, err=True)
+        with suppress(KeyboardInterrupt):
+            while True:
+                time.sleep(EVERY_S)
+                write_text(page, write_page(study, known, now()), private=True)
+        write_text(page, write_page(study, known, now(), is_over=True), private=True)
+
+
+def write_page(study: StudyFolder, known: Known, now: datetime, *, is_over: bool = False) -> str:
+    """Write the page; nothing that was written in free words is shown."""
+    from feel321.analysis.page import render_template
+
+    rows: list[dict[str, Any]] = []
+    for one in sorted(look(study, known)[0], key=lambda one: STATES.index(one.state)):
+        warnings = [text for text in one.warnings if not text.startswith(CALLED_FOR)]
+        quiet_min = None
+        if one.state in GOING_ON and one.last_activity:
+            quiet = now - datetime.fromisoformat(one.last_activity)
+            quiet_min = max(0.0, quiet.total_seconds() / 60)
+        rows.append({"own": one, "warnings": warnings, "quiet_min": quiet_min})
+    return render_template(
+        "watch.html",
+        study=study.path.resolve().name,
+        is_rehearsal=study.is_rehearsal,
+        now=now.astimezone(),
+        every_s=None if is_over else EVERY_S,
+        rows=rows,
+    )
 
 
 # What is derived of one participant.
@@ -221,25 +224,21 @@ def watch_study(study: StudyFolder, page: Path, *, now: Clock) -> None:
 
 def _derive(dossier: Dossier) -> tuple[Progress, list[Trial]]:
     """Derive the progress of a participant, and the trials that count for the balance."""
-    own = make_progress(dossier)
+    own, warnings = make_progress(dossier), list[str]()
     trials = {trial.number: trial for trial in dossier.plan.trials if trial.phase == "main"}
     with read_as_written(dossier.newest):
         found = dossier.records.find(events.TrialRated)
-        rated = [one for one in found if one.trial in trials and not one.rejected]
-        warnings = tuple(_find_warnings(dossier, rated))
-    return replace(own, warnings=warnings), [trials[one.trial] for one in rated]
-
-
-def _find_warnings(dossier: Dossier, rated: Sequence[events.TrialRated]) -> Iterator[str]:
-    if dossier.chains:
-        yield from find_flags(dossier.chains[-1])
-        yield from find_warnings(read_thresholds(dossier.plan, dossier.records))
-    trials = {trial.number: trial for trial in dossier.plan.trials if trial.catch}
-    caught = [one for one in rated if one.trial in trials]
-    answers = [is_as_expected(trials[one.trial], one.values) for one in caught]
+        rated = [
+            (trials[one.trial], one) for one in found if one.trial in trials and not one.rejected
+        ]
+        if dossier.chains:
+            warnings += find_flags(dossier.chains[-1])
+            warnings += find_warnings(read_thresholds(dossier.plan, dossier.records))
+        answers = [is_as_expected(trial, one.values) for trial, one in rated if trial.catch]
     if missed := answers.count(False):
-        known = sum(answer is not None for answer in answers)
-        yield f"{missed} of {known} catch trials not as expected"
+        checked = sum(answer is not None for answer in answers)
+        warnings.append(f"{missed} of {checked} catch trials not as expected")
+    return replace(own, warnings=tuple(warnings)), [trial for trial, _ in rated]
 
 
 def find_flags(chain: Chain) -> Iterator[str]:
@@ -298,28 +297,24 @@ def _split(
     if plan.task_order != TASK_ORDERS[0] and len(plan.tasks) > 1:
         among = tuple(sorted(task.protocol for task in plan.tasks))
         yield "session", "tasks", among, list(dict.fromkeys(trial.protocol for trial in trials))
-    planned = _gather_blocks(trial for trial in plan.trials if trial.phase == "main")
-    run = _gather_blocks(trials)
+    planned: dict[int, list[Trial]] = defaultdict(list)
+    run: dict[int, list[Trial]] = defaultdict(list)
+    recordings = defaultdict[str, set[str]](set)
+    for trial in plan.trials:
+        recordings[trial.protocol].add(trial.recording)
+        if trial.phase == "main":
+            planned[trial.block].append(trial)
+    for trial in trials:  # a second attempt may come after other blocks, it is the last of its own
+        run[trial.block].append(trial)
     for block, own in run.items():
         if len({judgement.part for judgement in own[0].judgements}) == 1:
             # Only what was planned together can meet.
             among = tuple(sorted(map(_name_condition, planned[block])))
             yield own[0].protocol, "stimuli", among, [_name_condition(trial) for trial in own]
-    recordings: dict[str, set[str]] = defaultdict(set)
-    for trial in plan.trials:
-        recordings[trial.protocol].add(trial.recording)
     heads = [own[0] for own in run.values() if len({trial.recording for trial in own}) == 1]
     for (task, _), turn in groupby(heads, key=lambda trial: (trial.protocol, trial.repeat)):
         order = [head.recording for head in turn]
         yield task, "recordings", tuple(sorted(recordings[task])), order
-
-
-def _gather_blocks(trials: Iterable[Trial]) -> Mapping[int, list[Trial]]:
-    """Gather trials by block; a second attempt may come after other blocks, it is the last of its own."""
-    blocks: dict[int, list[Trial]] = defaultdict(list)
-    for trial in trials:
-        blocks[trial.block].append(trial)
-    return blocks
 
 
 def _name_condition(trial: Trial) -> str:

@@ -1,7 +1,9 @@
+# pylint: disable=too-many-lines  # one verb a method: more than half is the help of the command line
 """A study from Python or a notebook: what it holds, and every verb of the command line that works on one.
 
 A study is opened once and passed on: its folder reads each plan and journal once. `feel321.study.cli` makes the verbs
-of these methods: their options from the signatures, their help from the docstrings.
+of these methods: their options from the signatures, their help from the docstrings. What takes more than a few lines to
+do is in the module that does it.
 """
 
 from __future__ import annotations
@@ -9,24 +11,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from shlex import quote
 from typing import TYPE_CHECKING, Self
 
-from feel321 import intake
-from feel321.doors import as_names, as_path, follow
+from feel321.doors import as_names, as_path, as_seed, follow
 from feel321.jobs import as_workers
 from feel321.study.folder import (
+    OpenStudy,
     Outcome,
     Problems,
-    StudyFolder,
     UsageError,
     create_study,
-    read_template,
     require_study,
 )
-from feel321.study.laboratory import Laboratory
-from feel321.study.terminal import echo, wants_bar, warn
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -38,11 +34,14 @@ if TYPE_CHECKING:
     from feel321.study import options
     from feel321.study.folder import Audit, Seal
     from feel321.study.power import StudyPower
+    from feel321.study.session.ports import Place
+    from feel321.study.settings.schema import Settings
+    from feel321.study.status import Status
     from feel321.types import PathLike, Progress
 
 
 @dataclass(frozen=True, slots=True, repr=False)
-class Study(Laboratory):
+class Study(OpenStudy):
     """A study in its folder; begin with `Study.create` or `Study.open`.
 
     Parameters
@@ -118,7 +117,7 @@ class Study(Laboratory):
             What the method is; found out if left out.
         """
         from feel321.study.check import check_own_method, check_study
-        from feel321.study.freeze import describe_frozen, find_faults
+        from feel321.study.evidence.freeze import describe_frozen, find_faults
 
         if method is not None:
             return check_own_method(method, self.folder.path, kind)
@@ -141,8 +140,7 @@ class Study(Laboratory):
         scheduler : str
             A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
         """
-        from feel321.stimuli.sets.build import find_copies
-        from feel321.study.check import build_study
+        from feel321.study.check import build_study, find_copies
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(
@@ -207,7 +205,7 @@ class Study(Laboratory):
         from feel321.analysis.report.folder import check_target
         from feel321.study import power
         from feel321.study.analyze import measure_declared
-        from feel321.study.participants.withdrawal import recording_output
+        from feel321.study.participants.traces import recording_output
 
         target = self.folder.path / "power" if out is None else as_path(out, "out")
         check_target(target)
@@ -228,7 +226,6 @@ class Study(Laboratory):
                 sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                keep=target / power.KEPT,
                 workers=as_workers(workers, scheduler),
                 progress=step,
             )
@@ -255,7 +252,7 @@ class Study(Laboratory):
         redesign : bool
             Design the filters anew from the stored sweeps, without playing.
         """
-        from feel321.study.actuator.verbs import calibrate_rig
+        from feel321.study.actuator.calibrate import calibrate_rig
 
         return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
 
@@ -276,9 +273,214 @@ class Study(Laboratory):
         seconds : float
             Duration of the pulse train, in s.
         """
-        from feel321.study.actuator.verbs import examine_study_rig
+        from feel321.study.actuator.doctor import examine_study_rig
 
         return examine_study_rig(self, device=device, seconds=seconds)
+
+    def freeze(self, *, show: bool = False) -> Outcome:
+        """Freeze hypotheses, design and analysis before the first session of a person.
+
+        Writes frozen.json: settings, stimuli, code and hypotheses, with their digests. analyze then marks results as
+        confirmatory or exploratory, and names every setting that was changed. It may be written again until a person's
+        session has begun. No rating is shown.
+
+        Example: feel321 freeze my-study
+                 feel321 freeze my-study --show
+
+        Parameters
+        ----------
+        show : bool
+            Only show what is frozen and what changed.
+        """
+        from feel321.study.evidence.freeze import report_frozen
+
+        return report_frozen(self, show=show)
+
+    def run(  # noqa: PLR0913 - one parameter per option
+        self,
+        *,
+        participant: options.NewCode,
+        windowed: bool = False,
+        screen: options.Screen = 0,
+        device: options.Name = None,
+        accept_rig: bool = False,
+        lsl: bool = False,
+        rehearse: bool = False,
+        simulate_participant: bool = False,
+        seed: options.WholeSeed = None,
+    ) -> Place:
+        """Run a session with a participant, or resume it.
+
+        Example: feel321 run my-study --participant p07
+
+        Parameters
+        ----------
+        participant : str
+            The participant's code.
+        windowed : bool
+            A window instead of the whole screen.
+        screen : int
+            The participant's monitor; 0: the main one.
+        device : str, optional
+            Instead of the rig's; 'file' writes WAV files.
+        accept_rig : bool
+            Resume although the rig or its certificate has changed; the journal records it.
+        lsl : bool
+            Send onsets to the lab streaming layer.
+        rehearse : bool
+            Rehearse: the session is stored in rehearsals/ and never analysed.
+        simulate_participant : bool
+            A simulated participant presses keys.
+        seed : int, optional
+            Seed of the simulated participant; the study's by default.
+        """
+        if seed is not None and not simulate_participant:
+            raise UsageError("--seed needs --simulate-participant; people have no seed")
+        from feel321.study.run import SessionLog, run_participant
+        from feel321.study.sessions import read_room
+
+        room = read_room(self.choose(rehearse), now=self.now)
+        room = replace(room, windowed=windowed, screen=screen, device=device)
+        room = replace(room, accept_rig=accept_rig, lsl=lsl)
+        with SessionLog(participant, room.study.rig) as log:
+            outcome = run_participant(
+                room,
+                participant,
+                simulated=simulate_participant,
+                seed=seed,
+                on_step=log.note,
+                warn=self.say,
+            )
+            log.end(outcome)
+        return outcome
+
+    def simulate(self, participants: options.People = 16, rng: options.Seed = None) -> Outcome:
+        """Run sessions with simulated participants, or resume them.
+
+        Example: feel321 simulate my-study --participants 16 --seed 1
+
+        Parameters
+        ----------
+        participants : int
+            How many take part.
+        rng : int or Generator, optional
+            Random seed; the study's by default.
+        """
+        from feel321.study.simulate import report_simulated
+
+        if participants < 1:
+            raise ValueError(f"participants must be 1 or more, got {participants}")
+        return report_simulated(self, participants, None if rng is None else as_seed(rng))
+
+    def status(
+        self, *, notes: bool = False, watch: options.Page | None = None, rehearsals: bool = False
+    ) -> Status:
+        """Show the progress of every participant, without naming a condition.
+
+        Example: feel321 status my-study
+                 feel321 status my-study --watch sessions.html
+
+        Parameters
+        ----------
+        notes : bool
+            Also the experimenter's notes.
+        watch : str or path, optional
+            Write the progress to a page, renewed until Ctrl-C.
+        rehearsals : bool
+            Rehearsals instead of sessions.
+        """
+        from feel321.study.evidence.freeze import describe_frozen
+        from feel321.study.status import read_status, watch_study
+
+        folder = self.choose(rehearsals)
+        if watch is not None:
+            if notes:
+                raise UsageError("--watch does not go with --notes; leave one out")
+            watch_study(folder, as_path(watch), now=self.now)
+        with follow(self.progress, "status") as step:
+            found = read_status(folder, progress=step)
+        frozen = "" if rehearsals else describe_frozen(folder)
+        return replace(found, frozen=frozen, shows_notes=notes)
+
+    def note(
+        self, text: options.Text, *, participant: options.Code, rehearsals: bool = False
+    ) -> Outcome:
+        """Write an experimenter's note into a participant's journal.
+
+        One line, not while a session runs. It is never edited, and removed only by withdraw: write no names. Shown by
+        status --notes.
+
+        Example: feel321 note my-study --participant p07 "left coil rattled in block 2"
+
+        Parameters
+        ----------
+        text : str
+            The note.
+        participant : str
+            The participant's code.
+        rehearsals : bool
+            Rehearsals instead of sessions.
+        """
+        from feel321.study.withdrawal import take_note
+
+        notice = take_note(self.choose(rehearsals), participant, text, now=self.now)
+        if notice:
+            self.say(notice)
+        facts = {"participant": participant, "text": text, "warning": notice}
+        return Outcome(facts, [f"{participant}: noted"])
+
+    def collect(self, *sources: options.Sources) -> Outcome:
+        """Collect the sessions of other stations into one study.
+
+        FROM are study folders, mounted or copied; they are only read. A longer journal takes the place of one that it
+        continues; sessions that conflict with the study are refused by name. A participant who withdrew at one station
+        is withdrawn here.
+
+        Example: feel321 collect /mnt/lab2/my-study /media/usb/my-study --into my-study
+
+        Parameters
+        ----------
+        *sources : str or path
+            The study folders of other stations.
+        """
+        from feel321.study.collect import collect_sessions
+
+        paths = [as_path(one) for one in sources]
+        with follow(self.progress, "collect") as step:
+            found = collect_sessions(self.folder, paths, now=self.now, progress=step)
+        return found.report(self.folder)
+
+    def withdraw(
+        self,
+        *,
+        participant: options.Code,
+        reason: str = "",
+        keep_data: bool = False,
+        is_sure: options.Yes = False,
+    ) -> Outcome:
+        """Remove the data of a participant for good, and free the design slot.
+
+        Data go from sessions, rehearsals, tables and results; outputs elsewhere are listed, to be removed by hand. The
+        code is not reused. --keep-data, for somebody who will not return: what was recorded stays, the next participant
+        gets the slot.
+
+        Example: feel321 withdraw my-study --participant p07 --yes
+                 feel321 withdraw my-study --participant p07 --keep-data
+
+        Parameters
+        ----------
+        participant : str
+            The participant's code.
+        reason : str
+            Kept with the code; write no name.
+        keep_data : bool
+            Only free the design slot.
+        is_sure : bool
+            Do not ask.
+        """
+        from feel321.study.withdrawal import report_leaving
+
+        return report_leaving(self, participant, reason, keep_data=keep_data, is_sure=is_sure)
 
     def analyze(
         self,
@@ -312,8 +514,8 @@ class Study(Laboratory):
             Bootstrap draws per interval; as study.toml declares by default.
         """
         from feel321.study.analyze import analyze_study
-        from feel321.study.export.dataset import write_methods
-        from feel321.study.participants.withdrawal import recording_output
+        from feel321.study.export import write_methods
+        from feel321.study.participants.traces import recording_output
 
         if manifest is not None and ratings is None:
             raise UsageError("--manifest needs --ratings; give both, or --ratings alone in a study")
@@ -360,7 +562,7 @@ class Study(Laboratory):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.auditing.study import examine
+        from feel321.study.evidence.audit import examine
 
         urls = as_names(remotes, "remotes")
         with follow(self.progress, "audit") as step:
@@ -384,7 +586,7 @@ class Study(Laboratory):
         to : str
             Git remote to push to from now on: a folder outside the study, or a URL.
         """
-        from feel321.study.checkpoints import take_checkpoint
+        from feel321.study.evidence.checkpoints import take_checkpoint
 
         return take_checkpoint(self.folder, "seal", reason=reason, remote=to, now=self.now)
 
@@ -409,29 +611,18 @@ class Study(Laboratory):
         for_r : bool
             Write CSV files for R and JASP instead.
         """
-        from feel321.study.participants.withdrawal import recording_output
+        from feel321.study.export import export_study
 
         if for_r and simulated:
             raise UsageError("--simulated is for BIDS; leave it out with --r")
-        path, notices = as_path(target), list[str]()
-        with recording_output(self.folder, "export", path, now=self.now):
-            if for_r:
-                from feel321.analysis.export import export_r
+        return export_study(self, as_path(target), simulated=simulated, for_r=for_r)
 
-                table, step = self.table(), "next, in that folder: Rscript model.R"
-                if "simulated" in table.rows and table.rows["simulated"].any():
-                    said = "ratings of simulated participants are among these"
-                    notices.append(f"{said}; see the column simulated")
-                export_r(table, path, rng=self.settings.study.seed)
-            else:
-                from feel321.study.export.dataset import export_bids
+    @property
+    def settings(self) -> Settings:
+        """What `study.toml` says now, checked, with every default."""
+        from feel321.study.settings.read import read_settings
 
-                step = f"check it with: bids-validator-deno {path}"
-                notices += export_bids(self.folder, path, simulated=simulated)
-        for notice in notices:
-            self.say(notice)
-        facts = {"folder": str(path), "kind": "R" if for_r else "BIDS", "warnings": notices}
-        return Outcome(facts, [f"{path}: {step}"])
+        return read_settings(self.folder.settings)
 
     def with_settings(self, changes: Mapping[str, object]) -> Self:
         """Change settings in `study.toml`, which keeps its comments; a wrong one changes nothing.
@@ -448,7 +639,7 @@ class Study(Laboratory):
 
     def recordings(self) -> list[Recording]:
         """Read the recordings that `study.toml` names."""
-        from feel321.study.settings.recordings import open_recordings
+        from feel321.study.settings.read import open_recordings
 
         return open_recordings(self.settings, self.folder.path)
 
@@ -476,79 +667,3 @@ class Study(Laboratory):
     def __repr__(self) -> str:
         """Write what a user would write to open it."""
         return f"{type(self).__name__}.open({str(self.folder.path)!r})"
-
-
-DEMO_PARTICIPANTS = 16
-
-
-def new(
-    folder: options.Folder | None = None,
-    /,
-    *,
-    study: options.Ready = None,
-    methods: bool = False,
-    all_settings: bool = False,
-) -> None:
-    """Begin a study: a commented study.toml, ready to use.
-
-    Example: feel321 new my-study
-             feel321 new my-study --study park2019
-             feel321 new --all-settings
-
-    Parameters
-    ----------
-    folder : str or path, optional
-        The folder of the study.
-    study : str, optional
-        Start from this ready design.
-    methods : bool
-        Add working examples of your own methods, in methods/.
-    all_settings : bool
-        Only print every setting.
-    """
-    if all_settings:
-        from feel321.study.all_settings import FILES, write_list
-
-        echo("\n".join(map(write_list, FILES)).rstrip("\n"))
-    elif folder is None:
-        raise UsageError("name the folder of the new study")
-    elif study and methods:
-        raise UsageError("--methods adds to a study of your own; leave out --study")
-    else:
-        made = Study.create(folder, like=study, methods=methods).folder
-        echo(f"{made.settings}: edit it, then: feel321 check {quote(str(folder))}")
-
-
-def demo(*, out: options.Target = Path("demo-study")) -> None:
-    """Run a whole study with simulated participants.
-
-    Example: feel321 demo --out demo-study
-
-    Parameters
-    ----------
-    out : str or path
-        Folder of the study.
-    """
-    from feel321.study.observer.model import NUMBERED
-
-    folder = StudyFolder(as_path(out))
-    if not folder.path.exists() or not any(folder.path.iterdir()):
-        create_study(folder.path)
-    # What is anything but the demonstration is left alone.
-    people = [entry.name for entry in folder.participants if not NUMBERED.fullmatch(entry.name)]
-    refusal = ""
-    if not folder.settings.is_file():
-        refusal = f"{folder.path}: holds files that demo did not write"
-    elif intake.read_small(folder.settings) != read_template():
-        refusal = f"{folder.settings}: edited, or written by another version of feel321"
-    elif people:
-        refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"
-    if refusal:
-        raise FileExistsError(f"{refusal}; name another folder with --out")
-    study = Study(folder, wants_bar(), warn=warn)
-    stimuli = study.build()
-    echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
-    rows = len(study.simulate(DEMO_PARTICIPANTS))
-    echo(f"{folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
-    study.analyze()
-    echo(folder.report / "index.html")

@@ -13,6 +13,7 @@ from feel321.protocols.texts import Question
 from feel321.protocols.trial import Flow, Page, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.study.check import build_study
+from feel321.study.evidence.audit import examine
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock, Records
@@ -57,6 +58,12 @@ def make_settings(
 
 
 SMALLEST_STUDY = make_settings("bumps")
+
+
+def audit_study(study: StudyFolder) -> list[str]:
+    """What the audit finds."""
+    return list(examine(study).findings)
+
 
 ASK_AGE = """[[session.questions]]
 name = "age"

@@ -13,8 +13,7 @@ from feel321.study import cli
 from feel321.study.check import build_study, check_study
 from feel321.study.folder import StudyFolder
 from feel321.study.session.plan import make_plan
-from feel321.study.settings.read import make_design, read_settings
-from feel321.study.settings.recordings import open_recordings
+from feel321.study.settings.read import make_design, open_recordings, read_settings
 
 CORPUS = """
 [[recordings]]

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.ratings import write_ratings
 from feel321.study.run import run_participant
 from feel321.study.sessions import read_room
+from tests.study.conftest import audit_study
 
 RIG = """
 [device]

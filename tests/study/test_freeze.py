@@ -15,16 +15,16 @@ from feel321.analysis.words import CONFIRMATORY, EXPLORATORY
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.analyze import analyze_study
 from feel321.study.cli import main
-from feel321.study.folder import StudyFolder
-from feel321.study.freeze import (
+from feel321.study.evidence.freeze import (
     describe_frozen,
     find_changes,
     find_faults,
     freeze_study,
-    list_changes,
+    list_settings,
     make_standing,
     read_frozen,
 )
+from feel321.study.folder import StudyFolder
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Clock
@@ -68,7 +68,8 @@ def change(study: StudyFolder, text: str) -> None:
 
 
 def compare(study: StudyFolder) -> dict[str, str]:
-    return list_changes(study, read_settings(study.settings), read_frozen(study))
+    named = list_settings(study, read_settings(study.settings))
+    return find_changes(read_frozen(study).settings, named)
 
 
 def stand(study: StudyFolder, **asked: object) -> Standing:

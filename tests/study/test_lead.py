@@ -11,10 +11,10 @@ import pytest
 from feel321.protocols.texts import read_scales
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.folder import StudyFolder
-from feel321.study.participants.numbers import Station, plan_participants
-from feel321.study.participants.withdrawal import release_participant
+from feel321.study.participants.roster import Station, plan_participants
 from feel321.study.session.plan import Plan, Stale
 from feel321.study.sessions import Room, lead_session
+from feel321.study.withdrawal import release_participant
 
 IDENTITY = {"presenter": {"simulated": True}}
 

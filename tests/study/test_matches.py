@@ -17,19 +17,17 @@ from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import ATTENUATION_DB, DB_PER_POINT, MOST_START_DB, MatchingBlock
 from feel321.protocols.trial import MATCHING, Flow
 from feel321.stimuli.sets.manifest import StimulusSet
-from feel321.study.auditing.replay import audit_steps
-from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
+from feel321.study.evidence.replay import audit_steps
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.observer.model import ObserverModel
-from feel321.study.observer.simulated import Participant
+from feel321.study.observer import ObserverModel, Participant
 from feel321.study.ratings import MATCHES_FILE, describe_matches
 from feel321.study.session.engine import run_session
 from feel321.study.session.opening import open_session
 from feel321.study.session.plan import Design, Plan, Stale, create_plan, make_plan
 from feel321.study.session.ports import Confirm, Feel, Move, Playback, Scaled
 from feel321.study.simulate import simulate_study
-from tests.study.conftest import make_settings
+from tests.study.conftest import audit_study, make_settings
 
 LEVELS = 'levels = ["as_is", "equal_intensity"]\nanchors = false\n'
 STUDY = make_settings(

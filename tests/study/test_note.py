@@ -10,22 +10,18 @@ from typing import Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.auditing.study import audit_study
-from feel321.study.checkpoints import take_marks
 from feel321.study.cli import main
+from feel321.study.evidence.checkpoints import take_marks
 from feel321.study.folder import StudyFolder
 from feel321.study.participants.roster import write_roster
-from feel321.study.participants.withdrawal import (
-    release_participant,
-    take_note,
-    withdraw_participant,
-)
 from feel321.study.ratings import write_ratings
 from feel321.study.run import run_participant
 from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
 from feel321.study.sessions import read_room
 from feel321.study.status import read_status
+from feel321.study.withdrawal import release_participant, take_note, withdraw_participant
+from tests.study.conftest import audit_study
 
 Run = Callable[..., Any]
 

@@ -10,8 +10,8 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.stimuli.sets.manifest import find_methods
 from feel321.study.analyze import read_study_table
 from feel321.study.cli import main
+from feel321.study.evidence.freeze import list_info
 from feel321.study.folder import StudyFolder
-from feel321.study.freeze import list_info
 from feel321.study.settings.read import read_settings, read_study_texts
 from feel321.study.study import Study
 

@@ -13,8 +13,7 @@ from feel321.analysis.table.reading import Further, read_table
 from feel321.study.analyze import make_paper, measure_declared
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.settings.read import read_settings
-from feel321.study.settings.recordings import list_origins
+from feel321.study.settings.read import list_origins, read_settings
 
 SLOPES, BONUS = np.array([40.0, -30.0, 20.0, -60.0]), 45.0
 

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from feel321.analysis.report.write import SECTIONS
-from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.status import read_status
+from tests.study.conftest import audit_study
 
 FEEL321 = Path(sys.executable).with_name("feel321")
 HEAVY = {
@@ -62,9 +62,7 @@ def spend(*command: str | Path, cwd: Path) -> tuple[float, subprocess.CompletedP
     )
 
 
-@pytest.mark.parametrize(
-    "module", ["feel321.study", "feel321.study.cli", "feel321.study.recording_verbs"]
-)
+@pytest.mark.parametrize("module", ["feel321.study", "feel321.study.cli", "feel321.study.verbs"])
 def test_nothing_heavy_is_imported_at_start_up(module: str) -> None:
     code = f"import sys, {module}; print(*{{name.partition('.')[0] for name in sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

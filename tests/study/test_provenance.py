@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study, check_study
 from feel321.study.folder import StudyFolder
 from feel321.study.simulate import simulate_study
+from tests.study.conftest import audit_study
 
 
 @pytest.fixture

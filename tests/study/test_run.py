@@ -14,9 +14,9 @@ import pytest
 
 from feel321.study.actuator.device import Device
 from feel321.study.actuator.rig import digest, read_rig
-from feel321.study.auditing.study import audit_study, examine
 from feel321.study.check import check_study
 from feel321.study.cli import main
+from feel321.study.evidence.audit import examine
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.participants.roster import write_roster
 from feel321.study.run import run_participant, start_clock
@@ -26,6 +26,7 @@ from feel321.study.session.journal import read_journal
 from feel321.study.session.ports import Abort
 from feel321.study.sessions import read_room
 from feel321.study.status import read_status
+from tests.study.conftest import audit_study
 
 TOTAL = 2
 

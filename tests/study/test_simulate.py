@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study, find_warnings
 from feel321.study.folder import StudyFolder
 from feel321.study.ratings import write_ratings
@@ -20,6 +19,7 @@ from feel321.study.session.journal import create_journal
 from feel321.study.settings.read import read_settings
 from feel321.study.simulate import SIDE_BY_SIDE, list_participants, simulate_study
 from feel321.study.status import read_status
+from tests.study.conftest import audit_study
 
 
 def simulate(

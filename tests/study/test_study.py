@@ -34,7 +34,7 @@ def pilot(tmp_path_factory: pytest.TempPathFactory) -> Study:
     (folder / "study.toml").write_text(SHORT, encoding="utf-8")
     study = Study.open(str(folder))
     study.build()
-    assert len(study.simulate(2, 7)) == len(study.ratings())
+    assert study.simulate(2, 7).to_dict()["ratings"] == len(study.ratings())
     return study
 
 
@@ -146,7 +146,7 @@ def test_draws_are_as_declared_unless_asked_for_and_the_seed_is_the_studys(
 ) -> None:
     chosen: list[dict[str, object]] = []
     monkeypatch.setattr("feel321.study.analyze.write_report", lambda *_, **how: chosen.append(how))
-    monkeypatch.setattr("feel321.study.export.dataset.write_methods", lambda *_: None)
+    monkeypatch.setattr("feel321.study.export.write_methods", lambda *_: None)
     pilot.analyze()
     pilot.analyze(draws=7)
     assert [(how["draws"], how["rng"]) for how in chosen] == [(2000, 5), (7, 5)]

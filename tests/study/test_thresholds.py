@@ -22,11 +22,9 @@ from feel321.protocols.threshold import (
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
 from feel321.stimuli.thresholds import acceleration_threshold, sensation_level_db
-from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.observer.model import ObserverModel
-from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.observer import ObserverModel, SimulatedObserver
 from feel321.study.participants.roster import ROSTER_FILE
 from feel321.study.ratings import write_ratings
 from feel321.study.session.engine import run_session
@@ -42,6 +40,7 @@ from feel321.study.thresholds import (
     is_usable,
     read_thresholds,
 )
+from tests.study.conftest import audit_study
 
 STUDY = """
 [[recordings]]

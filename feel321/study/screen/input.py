@@ -18,7 +18,7 @@ from feel321.study.screen.sheet import Target
 from feel321.study.session.ports import Feel, Felt, Move, Place
 
 if TYPE_CHECKING:
-    from feel321.study.observer.simulated import Participant
+    from feel321.study.observer import Participant
 
 LAST_PAGE = "end"  # the page after which there is nothing
 LOOP = "⟳"

@@ -1,5 +1,6 @@
 """Read and edit `study.toml`; turn it into recordings, methods, recipe, texts and design; check it as a whole."""
 
+import hashlib
 import json
 import re
 from collections.abc import Collection, Iterator, Mapping
@@ -23,6 +24,7 @@ from feel321.protocols.threshold import MatchingBlock
 from feel321.protocols.trial import CHOOSING, SURFACE, Flow, Item, Task, select_group
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.own_methods import OwnMetric, OwnReducer
+from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import render
 from feel321.stimuli.sets.manifest import read_details
@@ -31,6 +33,7 @@ from feel321.stimuli.sets.recipe import (
     ORIGINAL,
     Recipe,
     StimulusSettings,
+    Unread,
     check_names,
     describe_recipe,
 )
@@ -39,9 +42,11 @@ from feel321.study.folder import SETTINGS_FILE, TEMPLATES, StudyFolder
 from feel321.study.session.journal import digest
 from feel321.study.session.opening import identify_frozen
 from feel321.study.session.plan import Design
+from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
 from feel321.study.settings.schema import (
     LANGUAGE_FILE,
+    SCENE_RATE_HZ,
     MethodTable,
     RecordingTable,
     Settings,
@@ -158,6 +163,75 @@ def add_methods(study: StudyFolder) -> None:
     text = change_settings(intake.read_small(study.settings), changes)
     tables = (TEMPLATES / "methods" / "tables.toml").read_text(encoding="utf-8")
     write_text(study.settings, text + tables)
+
+
+# Recordings: read as `[[recordings]]` say, turned, and what they are of.
+
+
+def list_surfaces(settings: Settings, folder: Path) -> dict[str, Surface]:
+    """List the surfaces that participants touch or see, by the names of their recordings."""
+    return {
+        entry.title: Surface(entry.sample, folder / entry.picture if entry.picture else None)
+        for entry in settings.recordings
+    }
+
+
+def list_origins(settings: Settings) -> dict[str, str]:
+    """List what recordings were made from: one source, rotated, gives recordings that are not independent."""
+    return {
+        entry.title: f"{entry.scene} {entry.seed}" if entry.scene else entry.file or ""
+        for entry in settings.recordings
+    }
+
+
+def list_unread(settings: Settings, folder: Path) -> list[Unread]:
+    """List the recordings of a study as they are to be read."""
+    return [Unread(entry.title, _open_entry, (entry, folder)) for entry in settings.recordings]
+
+
+def try_recordings(settings: Settings, folder: Path) -> Iterator[tuple[Unread, Recording | str]]:
+    """Read each recording of a study in turn; gives its fault instead where it cannot be read."""
+    for source in list_unread(settings, folder):
+        try:
+            yield source, source.read()
+        except (OSError, TypeError, ValueError) as error:
+            yield source, f"recording {source.name!r}: {error}"
+
+
+def open_recordings(settings: Settings, folder: Path) -> list[Recording]:
+    """Read every recording of a study; all that cannot be read are named at once."""
+    found = [one for _, one in try_recordings(settings, folder)]
+    if mistakes := [one for one in found if isinstance(one, str)]:
+        raise ValueError("\n".join(mistakes))
+    return [one for one in found if isinstance(one, Recording)]
+
+
+def _open_entry(entry: RecordingTable, folder: Path) -> Recording:
+    """Read a recording as its table says."""
+    from feel321.stimuli.formats.read import read_recording
+    from feel321.stimuli.synthesis import make_scene
+
+    if entry.scene:
+        rate_hz = entry.rate_hz or SCENE_RATE_HZ
+        recording = make_scene(
+            entry.scene, rng=entry.seed, rate_hz=rate_hz, duration_s=entry.duration_s
+        )
+    else:
+        own = entry.model_dump(include={"rate_hz", "unit", "columns", "full_scale", "resample"})
+        recording = read_recording(folder / (entry.file or ""), **own)
+    return recording if entry.rotation is None else turn_recording(recording, entry.rotation)
+
+
+def turn_recording(recording: Recording, rotation: int) -> Recording:
+    """Turn a recording as if its sensor had been mounted in another orientation, which the number seeds."""
+    import numpy as np
+
+    from feel321.stimuli.rotation import random_rotations
+
+    turn = random_rotations(1, np.random.default_rng(rotation))[0]
+    turned = np.einsum("ij,jn->in", turn, recording.acceleration)
+    sha256 = hashlib.sha256(f"{recording.sha256} rotation {rotation}".encode()).hexdigest()
+    return replace(recording, acceleration=turned, sha256=sha256)
 
 
 # Reducers and metrics, by the names that settings and the command line use.
@@ -315,14 +389,6 @@ def make_identity(
     }
 
 
-def make_terms(design: Design, settings: Settings, folder: Path) -> dict[str, Any]:
-    """List what all stations of a study have to agree on, as JSON can hold it: all that decides about the sessions."""
-    own = asdict(design)
-    own["tasks"] = {task["protocol"]: task for task in own["tasks"]}
-    identity = make_identity(settings, folder, {})
-    return own | {name: identity.get(name) for name in ("locale", "texts_sha256", "rig", "methods")}
-
-
 # Whether a built set is that of the settings.
 
 
@@ -374,7 +440,21 @@ def find_conflicts(settings: Settings) -> list[str]:
     checks = (_check_methods, _check_stimuli, _check_tasks)
     if found := [line for check in checks for line in check(settings)]:
         return found
-    groups = list(_list_groups(settings))
+    # The stimuli, as built from the first recording, and the tasks of the groups that differ in them.
+    stimuli, recording = settings.stimuli, settings.recordings[0].title
+    made = [(name_of(name), "test") for name in stimuli.reducers]
+    made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
+    made += [(name, "anchor") for name in ANCHOR_NAMES] * stimuli.anchors
+    items = [
+        Item(f"{recording}-{role}-{reducer}-{level}", recording, reducer, level, role)
+        for level in stimuli.levels
+        for reducer, role in made
+    ]
+    factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
+    groups = [
+        select_group(items, settings.list_tasks(), dict(zip(factors, levels, strict=True)))
+        for levels in product(*factors.values())
+    ]
     found = list(dict.fromkeys(_check_comparisons(settings, groups)))
     return found or list(_check_length(settings, groups))
 
@@ -448,22 +528,6 @@ def _find_mute_scales(settings: Settings, texts: Mapping[str, Any]) -> Iterator[
         hint = f"did you mean {near[0]!r}? Or " if near else ""
         remedy = f"{hint}add [scales.{name}] with question, low and high"
         yield f"tasks.{task}.scales: {name!r} has no words; {remedy}"
-
-
-def _list_groups(settings: Settings) -> Iterator[Group]:
-    """List the stimuli, as built from the first recording, and the tasks of the groups that differ in them."""
-    stimuli, recording = settings.stimuli, settings.recordings[0].title
-    made = [(name_of(name), "test") for name in stimuli.reducers]
-    made += [(name_of(stimuli.reference), "reference")] * (stimuli.reference != NO_REFERENCE)
-    made += [(name, "anchor") for name in ANCHOR_NAMES] * stimuli.anchors
-    items = [
-        Item(f"{recording}-{role}-{reducer}-{level}", recording, reducer, level, role)
-        for level in stimuli.levels
-        for reducer, role in made
-    ]
-    factors = {name: settings.between[name] for name in CHOOSING if name in settings.between}
-    for levels in product(*factors.values()):
-        yield select_group(items, settings.list_tasks(), dict(zip(factors, levels, strict=True)))
 
 
 def _check_comparisons(settings: Settings, groups: list[Group]) -> Iterator[str]:

@@ -15,8 +15,7 @@ from feel321.analysis.table.reading import ROSTER, read_table
 from feel321.analysis.table.schema import RATINGS
 from feel321.stimuli.sets.manifest import COLUMN_UNITS
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
-from feel321.study.settings.read import read_settings
-from feel321.study.settings.recordings import list_origins
+from feel321.study.settings.read import list_origins, read_settings
 
 Change = Callable[[pd.DataFrame], pd.DataFrame]
 

@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.checkpoints import take_checkpoint
+from feel321.study.evidence.checkpoints import take_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.participants.answers import write_answers
 from feel321.study.participants.roster import Tombstone, write_roster, write_tombstone
-from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.ratings import write_matches, write_ratings
 from feel321.study.session import journal as journals
 from feel321.study.simulate import simulate_study
+from feel321.study.withdrawal import withdraw_participant
 
 Records = list[journals.Record]
 

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from feel321.stimuli.sets.manifest import StimulusSet
-from feel321.study.auditing.replay import audit_steps
+from feel321.study.evidence.replay import audit_steps
 from feel321.study.session.journal import Record
 from feel321.study.session.plan import Design, Plan, make_plan
 

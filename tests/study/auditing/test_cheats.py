@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from feel321.study.auditing.study import examine
-from feel321.study.checkpoints import take_checkpoint
+from feel321.study.evidence.audit import examine
+from feel321.study.evidence.checkpoints import take_checkpoint
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import utc_now
 from tests.study.auditing.cheats import CHEATS, falsify

@@ -15,10 +15,11 @@ from typing import Any
 
 import pytest
 
-from feel321.study import checkpoints
-from feel321.study.auditing.study import examine
 from feel321.study.check import build_study
-from feel321.study.checkpoints import (
+from feel321.study.cli import main
+from feel321.study.evidence import checkpoints
+from feel321.study.evidence.audit import examine
+from feel321.study.evidence.checkpoints import (
     EVIDENCE,
     declaring,
     find_newest,
@@ -26,11 +27,10 @@ from feel321.study.checkpoints import (
     read_own,
     take_checkpoint,
 )
-from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
-from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.journal import utc_now
 from feel321.study.simulate import simulate_study
+from feel321.study.withdrawal import withdraw_participant
 from tests.study.conftest import SMALLEST_STUDY
 
 SEED = random.SystemRandom().randrange(10**6)
@@ -407,7 +407,7 @@ def test_git_reads_what_was_written(study: StudyFolder, remote: Path) -> None:
 def start(study: StudyFolder) -> subprocess.Popen[bytes]:
     code = (
         "import sys; from pathlib import Path; from feel321.study.folder import StudyFolder\n"
-        "from feel321.study.checkpoints import take_checkpoint\n"
+        "from feel321.study.evidence.checkpoints import take_checkpoint\n"
         "from feel321.study.session.journal import utc_now\n"
         "study = StudyFolder(Path(sys.argv[1])); print(flush=True)\n"
         "while True: take_checkpoint(study, 'seal', now=utc_now)"

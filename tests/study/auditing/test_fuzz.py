@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
 from tests.study.auditing.cheats import chain
 from tests.study.auditing.finished import make_simulated
+from tests.study.conftest import audit_study
 
 FILES = (
     "study.toml", "rig.toml", "frozen.json", "ratings.csv", "participants.csv", "outputs.jsonl",

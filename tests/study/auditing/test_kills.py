@@ -13,11 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.participants.numbers import read_holders
+from feel321.study.participants.roster import read_holders
 from feel321.study.session.journal import read_journal
-from tests.study.conftest import make_settings
+from tests.study.conftest import audit_study, make_settings
 
 SETTINGS = make_settings("bumps", reducers=("sax321", "mag321", "dft321"), session="repeats = 2\n")
 SETTINGS += "[analysis]\ndraws = 100\n"

@@ -10,17 +10,17 @@ from pathlib import Path
 import pytest
 
 from feel321.files import digest_file
-from feel321.study.auditing.study import audit_journals, audit_study, examine
 from feel321.study.check import build_study
+from feel321.study.evidence.audit import audit_journals, examine
 from feel321.study.folder import StudyFolder
 from feel321.study.participants.roster import write_roster
-from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session import events
 from feel321.study.session.journal import Record, create_journal, read_journal, utc_now
 from feel321.study.session.plan import POLICIES, Plan, Stale, require_plan
 from feel321.study.simulate import simulate_study
+from feel321.study.withdrawal import withdraw_participant
 from tests.study.auditing.cheats import chain, reseal, shift_times
-from tests.study.conftest import make_settings
+from tests.study.conftest import audit_study, make_settings
 
 Present = Callable[..., list[Record]]
 

@@ -11,15 +11,15 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.check import build_study
-from feel321.study.export.dataset import export_bids
+from feel321.study.export import export_bids
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.events import NoteTaken
 from feel321.study.session.journal import require_journal
 from feel321.study.session.ports import Confirm
 from feel321.study.sessions import lead_session, open_room, plan_sessions
 from feel321.study.settings.read import read_settings
 from feel321.study.simulate import simulate_study
+from feel321.study.withdrawal import withdraw_participant
 from tests.study.conftest import ASK_AGE
 
 STUDY = f"""

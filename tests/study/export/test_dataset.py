@@ -11,9 +11,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from feel321.study import export as dataset_module
 from feel321.study.analyze import analyze_study
-from feel321.study.export import dataset as dataset_module
-from feel321.study.export.dataset import KEY_FILE, NO_METHODS, export_bids
+from feel321.study.export import KEY_FILE, NO_METHODS, export_bids
 from feel321.study.folder import StudyFolder
 from tests.study.export.conftest import PLANTED
 

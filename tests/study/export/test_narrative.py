@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from feel321.study.analyze import analyze_study
-from feel321.study.export.dataset import count_flow, write_methods
+from feel321.study.export import count_flow, write_methods
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
 from feel321.study.session.plan import require_plan

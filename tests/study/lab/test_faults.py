@@ -12,13 +12,13 @@ import pytest
 from feel321.protocols.texts import read_scales, read_texts
 from feel321.protocols.trial import Judgement, Part, Trial
 from feel321.study.analyze import analyze_study
-from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose
 from feel321.study.session.ports import Place
 from feel321.study.status import read_status
+from tests.study.conftest import audit_study
 
 HAND = ("--simulate-participant",)
 TOTAL = 4

@@ -13,12 +13,12 @@ import pytest
 
 from feel321.stimuli.wav import read_wav
 from feel321.study.analyze import analyze_study
-from feel321.study.auditing.study import audit_study
 from feel321.study.folder import StudyFolder
 from feel321.study.participants.answers import write_answers
 from feel321.study.session.journal import read_journal
 from feel321.study.simulate import simulate_study
 from feel321.study.status import read_status
+from tests.study.conftest import audit_study
 
 HAND = ("--simulate-participant",)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest, norm
 
-from feel321.study.observer.model import KINDS, ObserverModel, Rater, draw_rater, expect_rating
+from feel321.study.observer import KINDS, ObserverModel, Rater, draw_rater, expect_rating
 
 
 def vary(model: ObserverModel, **changes: object) -> ObserverModel:

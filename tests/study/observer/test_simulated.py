@@ -6,8 +6,7 @@ import pytest
 
 from feel321.protocols.trial import SURFACE, Judgement, Part, Scale, Trial
 from feel321.stimuli.sets.manifest import Stimulus
-from feel321.study.observer.model import SPECTRAL, ObserverModel, Touch
-from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.observer import SPECTRAL, ObserverModel, SimulatedObserver, Touch
 from feel321.study.session.ports import Confirm, Feel, Place
 
 

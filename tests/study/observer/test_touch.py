@@ -16,14 +16,7 @@ from feel321.protocols.trial import SURFACE, Judgement, Part, Trial
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
-from feel321.study.observer.model import (
-    REAL,
-    Experience,
-    Location,
-    ObserverModel,
-    Touch,
-    draw_rater,
-)
+from feel321.study.observer import REAL, Experience, Location, ObserverModel, Touch, draw_rater
 from feel321.study.settings.read import read_settings
 from feel321.study.simulate import regress_planted, simulate_study
 from tests.study.conftest import make_settings
@@ -95,7 +88,7 @@ def test_what_cannot_be_judged_is_refused() -> None:
     astray = make_experience("similarity", {"test": WEAK}, reference="elsewhere")
     with pytest.raises(ValueError, match=r"stimulus of one of its parts, got 'code-elsewhere'"):
         TOUCH.judge(astray, astray.trial.judgements[0])
-    with pytest.raises(ValueError, match=r"must be one of realism, similarity.*got 'pinching'"):
+    with pytest.raises(KeyError, match=r"must be one of realism, similarity.*got 'pinching'"):
         ask("pinching", WEAK)
 
 

@@ -12,7 +12,7 @@ import pytest
 from feel321.protocols.trial import SPOILED, VALID, Page
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study
-from feel321.study.participants.numbers import Station, plan_participants
+from feel321.study.participants.roster import Station, plan_participants
 from feel321.study.session.events import PageRead, SessionBegun, SessionFinished, TrialRated
 from feel321.study.session.journal import (
     create_journal,

@@ -6,13 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from feel321.study.auditing.study import audit_study, examine
+from feel321.study.evidence.audit import examine
 from feel321.study.folder import StudyFolder
 from feel321.study.participants import answers
 from feel321.study.participants.answers import write_answers
-from feel321.study.participants.withdrawal import withdraw_participant
 from feel321.study.session.journal import read_journal, utc_now
 from feel321.study.simulate import simulate_study
+from feel321.study.withdrawal import withdraw_participant
+from tests.study.conftest import audit_study
 from tests.study.participants.conftest import ASKING, copy_study
 
 SCALES = """

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from feel321.study.folder import StudyFolder
-from feel321.study.participants.withdrawal import recording_output
+from feel321.study.participants.traces import recording_output
 from feel321.study.simulate import simulate_study
 from tests.study.participants.conftest import ASKING
 

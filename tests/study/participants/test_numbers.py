@@ -10,7 +10,7 @@ import pytest
 
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.folder import StudyFolder
-from feel321.study.participants.numbers import (
+from feel321.study.participants.roster import (
     PLANNED,
     Station,
     find_doubles,
@@ -19,9 +19,9 @@ from feel321.study.participants.numbers import (
     read_holder,
     read_holders,
 )
-from feel321.study.participants.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import list_journals
 from feel321.study.session.plan import PLAN_FILE, Design, Plan, make_plan, require_plan
+from feel321.study.withdrawal import release_participant, withdraw_participant
 
 
 @pytest.fixture
@@ -139,7 +139,7 @@ from pathlib import Path
 sys.path.insert(0, sys.argv[1])
 from planned import make_small_plan
 from feel321.study.folder import StudyFolder
-from feel321.study.participants.numbers import Station, plan_participants
+from feel321.study.participants.roster import Station, plan_participants
 study, who, kill_at = StudyFolder(Path(sys.argv[2])), sys.argv[3], int(sys.argv[4])
 calls = 0
 def watch(event, arguments):

@@ -17,8 +17,8 @@ from feel321.study.participants.roster import (
     write_roster,
     write_tombstone,
 )
-from feel321.study.participants.withdrawal import release_participant, withdraw_participant
 from feel321.study.session.journal import Anchor
+from feel321.study.withdrawal import release_participant, withdraw_participant
 
 
 def test_one_row_per_participant_by_plan_and_journals(lab: Any, now: Any) -> None:

@@ -13,13 +13,14 @@ from typing import Any
 
 import pytest
 
-from feel321.study.auditing.study import audit_study, examine
 from feel321.study.check import build_study
 from feel321.study.cli import main
+from feel321.study.evidence.audit import examine
 from feel321.study.folder import StudyFolder
-from feel321.study.participants.withdrawal import recording_output
+from feel321.study.participants.traces import recording_output
 from feel321.study.session import engine
 from feel321.study.session.journal import utc_now
+from tests.study.conftest import audit_study
 
 WHO, SECRET = "sim002", "Zwiebelturm-4711"
 

@@ -11,18 +11,23 @@ import pytest
 
 from feel321.files import hold_lock
 from feel321.study.folder import StudyFolder
-from feel321.study.participants.numbers import Holder, read_holders
-from feel321.study.participants.roster import find_leftovers, read_tombstone, write_roster
-from feel321.study.participants.withdrawal import release_participant, withdraw_participant
+from feel321.study.participants.roster import (
+    Holder,
+    find_leftovers,
+    read_holders,
+    read_tombstone,
+    write_roster,
+)
 from feel321.study.session.journal import create_journal, digest, read_journal
 from feel321.study.session.plan import PLAN_FILE
+from feel321.study.withdrawal import release_participant, withdraw_participant
 
 DYING = """
 import os, signal, sys
 from datetime import UTC, datetime
 from pathlib import Path
 from feel321.study.folder import StudyFolder
-from feel321.study.participants.withdrawal import withdraw_participant
+from feel321.study.withdrawal import withdraw_participant
 import feel321.analysis.report.folder, feel321.files, feel321.stimuli.sets.manifest, feel321.study.ratings, filelock
 root, steps = Path(sys.argv[1]), {"open", "os.remove", "os.rename", "os.rmdir", "os.truncate"}
 def now():

@@ -14,9 +14,8 @@ from feel321.protocols.tasks import make_task
 from feel321.protocols.threshold import PROCEDURES, USUAL, ThresholdBlock
 from feel321.protocols.trial import THRESHOLD, Flow
 from feel321.stimuli.sets.manifest import StimulusSet
-from feel321.study.auditing.replay import audit_steps
-from feel321.study.observer.model import ObserverModel
-from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.evidence.replay import audit_steps
+from feel321.study.observer import ObserverModel, SimulatedObserver
 from feel321.study.session.engine import run_session
 from feel321.study.session.journal import Record
 from feel321.study.session.opening import open_session

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.study.auditing.replay import audit_steps
+from feel321.study.evidence.replay import audit_steps
 from feel321.study.session.plan import Plan, replay
 from feel321.study.session.ports import Abort, Confirm, Pause, Playback
 from tests.study.conftest import list_events

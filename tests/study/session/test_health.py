@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from feel321.protocols.trial import MOST_LOST, Flow
-from feel321.study.auditing.replay import audit_steps
-from feel321.study.auditing.study import audit_journals
+from feel321.study.evidence.audit import audit_journals
+from feel321.study.evidence.replay import audit_steps
 from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import find_loss
 from feel321.study.session.journal import Chain

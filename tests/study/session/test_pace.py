@@ -10,7 +10,7 @@ import pytest
 from feel321.protocols.tasks import make_task
 from feel321.protocols.trial import Flow
 from feel321.stimuli.sets.manifest import StimulusSet
-from feel321.study.auditing.replay import audit_steps
+from feel321.study.evidence.replay import audit_steps
 from feel321.study.session.plan import Design, Plan, make_plan
 from feel321.study.session.ports import Confirm, Playback, TimedOut
 

@@ -11,7 +11,7 @@ from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import Question, make_scales, read_texts
 from feel321.protocols.trial import Scale
 from feel321.stimuli.sets.manifest import StimulusSet
-from feel321.study.auditing.replay import audit_steps
+from feel321.study.evidence.replay import audit_steps
 from feel321.study.participants import answers
 from feel321.study.session.plan import Design, Plan, make_plan, read_dossier
 from feel321.study.session.ports import Abort, Confirm, Feel, Move, Pause

@@ -23,17 +23,19 @@ from feel321.study.actuator.rig import read_rig
 from feel321.study.all_settings import FILES, list_settings, read_meanings, write_list
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder, create_study, read_template
-from feel321.study.observer.model import ObserverModel
+from feel321.study.observer import ObserverModel
 from feel321.study.session.plan import Design, Stale
 from feel321.study.session.ports import Surface
 from feel321.study.settings.read import (
     find_language,
+    list_surfaces,
     make_design,
     make_recipe,
+    open_recordings,
     read_settings,
     read_study_texts,
+    turn_recording,
 )
-from feel321.study.settings.recordings import list_surfaces, open_recordings, turn_recording
 from feel321.study.settings.schema import Settings
 
 SHORTEST = '[[recordings]]\nscene = "bumps"\n'
@@ -197,7 +199,7 @@ def test_every_reading_option_reaches_the_reader(
         calls.append((path, options))
         return Recording(np.ones((3, 9)), 1000.0, "x")
 
-    monkeypatch.setattr("feel321.study.settings.recordings.read_recording", read_recording)
+    monkeypatch.setattr("feel321.stimuli.formats.read.read_recording", read_recording)
     text = "unit = 'g'\nrate_hz = 50.0\ncolumns = ['x', 1, 2]\nfull_scale = 16.0\nresample = true"
     settings = read(f"[[recordings]]\nfile = 'a.wav'\nname = 'oak'\n{text}")
     assert [one.name for one in open_recordings(settings, tmp_path)] == ["oak"]

@@ -18,12 +18,10 @@ import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study import cli
-from feel321.study.auditing.study import audit_study
 from feel321.study.collect import Collected, collect_sessions
 from feel321.study.folder import StudyFolder, name_delivered
 from feel321.study.participants.answers import PERSONAL_FILE, make_keeper
-from feel321.study.participants.numbers import read_holders
-from feel321.study.participants.withdrawal import release_participant, withdraw_participant
+from feel321.study.participants.roster import read_holders
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import (
     START,
@@ -37,6 +35,8 @@ from feel321.study.session.journal import (
 from feel321.study.session.plan import PLAN_FILE, create_plan, require_plan
 from feel321.study.simulate import simulate_study
 from feel321.study.status import read_status
+from feel321.study.withdrawal import release_participant, withdraw_participant
+from tests.study.conftest import audit_study
 
 
 def tell_time() -> datetime:

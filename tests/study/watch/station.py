@@ -10,8 +10,7 @@ from typing import Any
 
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.folder import StudyFolder
-from feel321.study.observer.model import Casting, make_model
-from feel321.study.observer.simulated import SimulatedObserver
+from feel321.study.observer import Casting, SimulatedObserver, make_model
 from feel321.study.session.journal import utc_now
 from feel321.study.session.ports import Playback
 from feel321.study.sessions import lead_session, open_room, plan_sessions

@@ -15,12 +15,12 @@ from typing import Any
 import pytest
 
 from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study import status
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.session import events
 from feel321.study.session import journal as journals
 from feel321.study.session.plan import PLAN_FILE, require_plan
-from feel321.study.status import Watch
 
 STATION = Path(__file__).with_name("station.py")
 NOON = datetime(2026, 1, 1, 12, tzinfo=UTC)
@@ -34,7 +34,7 @@ sys.exit(cli.main(sys.argv[1:]))
 
 
 def write_page(study: StudyFolder) -> str:
-    return Watch(study).write_page(NOON)
+    return status.write_page(study, {}, NOON)
 
 
 def read_row(page: str, participant: str) -> list[str]:

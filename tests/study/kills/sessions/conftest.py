@@ -19,13 +19,10 @@ from feel321.protocols.texts import Question, read_scales
 from feel321.protocols.threshold import USUAL, MatchingBlock, ThresholdBlock
 from feel321.protocols.trial import Flow, Page, Part, Scale, Task, Trial
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, read_stimuli
-from feel321.study.auditing.study import audit_study
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder
-from feel321.study.observer.model import Casting, ObserverModel
-from feel321.study.observer.simulated import SimulatedObserver
-from feel321.study.participants.numbers import Station, plan_participants
-from feel321.study.participants.roster import write_roster
+from feel321.study.observer import Casting, ObserverModel, SimulatedObserver
+from feel321.study.participants.roster import Station, plan_participants, write_roster
 from feel321.study.ratings import write_ratings
 from feel321.study.session.journal import Journal, Record, read_journal
 from feel321.study.session.plan import Design, Plan, Stale, make_plan, require_plan
@@ -41,7 +38,8 @@ from feel321.study.session.ports import (
     Presenter,
 )
 from feel321.study.sessions import Room, lead_session
-from feel321.study.settings.about import ObserverTable
+from feel321.study.settings.schema import ObserverTable
+from tests.study.conftest import audit_study
 
 STUDY = """
 [[recordings]]

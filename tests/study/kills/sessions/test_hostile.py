@@ -13,10 +13,10 @@ from typing import Any
 import pytest
 
 from feel321.files import hold_lock
-from feel321.study.auditing.study import audit_study
 from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.session.journal import read_journal
+from tests.study.conftest import audit_study
 
 CLONE_NEWNS = 0x00020000
 

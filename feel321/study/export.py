@@ -15,6 +15,7 @@ from typing import Any
 import pandas as pd
 
 from feel321 import __version__, intake
+from feel321.analysis.export import export_r
 from feel321.analysis.report.folder import METHODS
 from feel321.analysis.table.columns import describe_column, gather_info
 from feel321.files import (
@@ -29,16 +30,16 @@ from feel321.records import to_json_value
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_details, read_stimuli
 from feel321.study.actuator.certificate import list_certificates, read_certificate
-from feel321.study.checkpoints import find_newest
-from feel321.study.folder import RATING_COLUMNS, StudyFolder
-from feel321.study.freeze import list_info, read_frozen
+from feel321.study.analyze import read_study_table
+from feel321.study.evidence.checkpoints import find_newest
+from feel321.study.evidence.freeze import list_info, read_frozen
+from feel321.study.folder import RATING_COLUMNS, OpenStudy, Outcome, StudyFolder
 from feel321.study.own_protocols import OURS
-from feel321.study.participants.numbers import WITHDRAWN, read_holders
-from feel321.study.participants.roster import list_progress, write_roster
+from feel321.study.participants.roster import WITHDRAWN, list_progress, read_holders, write_roster
+from feel321.study.participants.traces import recording_output
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionFinished, TrialRated
-from feel321.study.settings.read import read_settings, read_study_texts
-from feel321.study.settings.recordings import list_origins
+from feel321.study.settings.read import list_origins, read_settings, read_study_texts
 from feel321.study.settings.schema import Settings
 from feel321.types import MetricInfo
 
@@ -69,6 +70,25 @@ OWN = {  # meanings of columns that the data dictionary lacks or defines differe
 }
 
 KEY_FILE = ".export.key"  # file in the study's folder: the key that draws the new numbers. It is never exported.
+
+
+def export_study(lab: OpenStudy, path: Path, *, simulated: bool, for_r: bool) -> Outcome:
+    """Write a study's data for others, as BIDS or as tables for R."""
+    study, notices = lab.folder, list[str]()
+    with recording_output(study, "export", path, now=lab.now):
+        if for_r:
+            table, step = read_study_table(study), "next, in that folder: Rscript model.R"
+            if "simulated" in table.rows and table.rows["simulated"].any():
+                said = "ratings of simulated participants are among these"
+                notices.append(f"{said}; see the column simulated")
+            export_r(table, path, rng=read_settings(study.settings).study.seed)
+        else:
+            step = f"check it with: bids-validator-deno {path}"
+            notices += export_bids(study, path, simulated=simulated)
+    for notice in notices:
+        lab.say(notice)
+    facts = {"folder": str(path), "kind": "R" if for_r else "BIDS", "warnings": notices}
+    return Outcome(facts, [f"{path}: {step}"])
 
 
 def export_bids(study: StudyFolder, folder: Path, *, simulated: bool = False) -> list[str]:
@@ -357,4 +377,6 @@ def render(name: str, **values: object) -> str:
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     pages.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
-    return pages.from_string(intake.read_text(Path(__file__).with_name(name))).render(**values)
+    return pages.from_string(intake.read_text(Path(__file__).parent / "templates" / name)).render(
+        **values
+    )

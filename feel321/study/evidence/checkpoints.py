@@ -136,11 +136,11 @@ def _describe_damage(home: Path, error: Exception) -> str:
 
 def read_own(study: StudyFolder) -> Own:
     """Read the repository in the folder."""
-    from dulwich.repo import Repo
-
     home, own = study.path / EVIDENCE, Own([], {}, "", "")
     if not home.is_dir():
         return own
+    from dulwich.repo import Repo
+
     host = socket.gethostname()
     place = digest(f"{host}:{study.path.absolute()}")[:8]
     name = f"{re.sub('[^A-Za-z0-9]+', '-', host).strip('-') or 'computer'}-{place}"
@@ -174,9 +174,9 @@ def _read_history(repo: Any, tip: Any) -> list[Checkpoint]:  # noqa: ANN401
         lines = (line.split("\t") for line in text.splitlines())
         marks = {name: FileMark(int(size), sha256) for name, size, sha256 in lines}
         subject, _, reason = commit.message.decode().partition("\n\n")
-        begins = subject.startswith("before ")
         by, _, who = subject.removeprefix("before ").partition(" ")
         utc = datetime.fromtimestamp(commit.commit_time, UTC).isoformat()
+        begins = subject.startswith("before ")
         history.append(Checkpoint(tip.decode(), utc, begins, by, who, reason, marks))
         tip = next(iter(commit.parents), None)
     return history[::-1]
@@ -266,8 +266,6 @@ def _commit(
 
 def _prepare_remote(remote: str, study: StudyFolder) -> str:
     """Refuse a remote that must not be one; a folder that is not there, or empty, becomes a repository."""
-    from dulwich.repo import Repo
-
     if ":" in remote.partition("://")[2].rpartition("@")[0]:
         raise ValueError(
             "remote: must hold no password, got one; take it out, and use a key of ssh"
@@ -278,6 +276,8 @@ def _prepare_remote(remote: str, study: StudyFolder) -> str:
     if folder.resolve().is_relative_to(study.path.resolve()):
         raise ValueError(f"{folder}: is in {study.path}; choose one that others cannot write to")
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        from dulwich.repo import Repo
+
         make_folder(folder, private=True)
         Repo.init_bare(folder).close()
     return str(folder)

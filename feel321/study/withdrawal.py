@@ -2,40 +2,53 @@
 
 One who withdraws takes all data along, one who is released leaves them. Either way the slot is free for the next. A
 withdrawal that is interrupted at any instant has left everything as it was, or a tombstone that says so; the same call
-finishes it. Links go, and what they lead to is named and left. What verbs wrote outside of the study is named too:
-`outputs.jsonl` lists it.
+finishes it. Links go, and what they lead to is named and left.
 """
 
-import csv
-import json
-import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
-from datetime import datetime
 from pathlib import Path
 
 from feel321 import files
-from feel321.files import hold_lock, make_folder, sync_folder, write_text
+from feel321.files import hold_lock, make_folder, sync_folder
 from feel321.stimuli.sets.manifest import read_stimuli
-from feel321.study.checkpoints import declaring, find_newest, note_checkpoint
-from feel321.study.folder import StudyFolder
-from feel321.study.participants import roster
-from feel321.study.participants.answers import ANSWERS_FILE, write_answers
-from feel321.study.participants.numbers import RELEASED, Holder, read_holder
-from feel321.study.ratings import MATCHES_FILE, WIDE, write_matches, write_ratings
+from feel321.study.evidence.checkpoints import declaring, find_newest, note_checkpoint
+from feel321.study.folder import OpenStudy, Outcome, StudyFolder, UsageError
+from feel321.study.participants import roster, traces
+from feel321.study.participants.answers import write_answers
+from feel321.study.ratings import WIDE, write_matches, write_ratings
 from feel321.study.session import journal as journals
 from feel321.study.session.events import NoteTaken, SessionFinished, SessionReleased
 from feel321.study.session.plan import TOMBSTONE_FILE
-
-OUTPUTS_FILE = "outputs.jsonl"
-
-RESULTS = ("report", "tradeoff", "power")
-"""Folders of results in a study that ratings may be in, unless another name was given."""
-
-TABLES = ("ratings.csv", roster.ROSTER_FILE, ANSWERS_FILE, MATCHES_FILE)
+from feel321.study.terminal import ask, is_answerable
 
 Say = Callable[[str], None]
+
+
+def report_leaving(
+    lab: OpenStudy, participant: str, reason: str, *, keep_data: bool, is_sure: bool
+) -> Outcome:
+    """Remove a participant's data, once that was confirmed, or only free the slot."""
+    study, facts = lab.folder, {"participant": participant}
+    if keep_data:
+        number = release_participant(study, participant, now=lab.now)
+        line = f"{study.path}: {participant} is released, number {number} is free"
+        return Outcome({**facts, "number": number, "removed": []}, [line])
+    if not is_sure:
+        if not is_answerable():
+            raise UsageError("no terminal to ask for confirmation; add --yes")
+        question = f"Remove all data of {participant} in {study.path} for good? [y/N]: "
+        if ask(question) not in {"y", "yes"}:
+            return Outcome(facts, [f"{study.path}: nothing was removed"], failed=True)
+    removed = withdraw_participant(study, participant, now=lab.now, reason=reason, warn=lab.say)
+    has_tombstone = (study.sessions / participant).exists()
+    kept = "; a tombstone keeps the code" if has_tombstone else ""
+    line = (
+        f"{study.path}: removed {len(removed)} files of {participant}{kept}. "
+        "Copies that feel321 did not make must be removed by hand"
+    )
+    return Outcome({**facts, "removed": removed, "tombstone": has_tombstone}, [line])
 
 
 def withdraw_participant(
@@ -53,7 +66,8 @@ def withdraw_participant(
     folder = require_folder(study, participant)
     stone = roster.read_tombstone(folder)
     is_over = stone is not None and stone.state == roster.REMOVED
-    if stone and is_over and not any((roster.find_leftovers(folder), *find_data_left(study))):
+    left = (*roster.find_leftovers(folder), *traces.find_data_left(study)) if is_over else ()
+    if stone and is_over and not left:
         newest = find_newest(study, "withdraw", participant)
         if newest and newest.begins:  # killed before its last checkpoint
             if problem := note_checkpoint(study, "withdraw", who=participant):
@@ -63,9 +77,9 @@ def withdraw_participant(
             raise ValueError(f"participant {participant}: {gone}")
         return removed
     if stone is None:  # else a withdrawal was interrupted
-        known = Holder(participant, 0, simulated=False)
+        known = roster.Holder(participant, 0, simulated=False)
         with suppress(ValueError):  # a damaged plan keeps nobody from withdrawing
-            known = read_holder(folder) or known
+            known = roster.read_holder(folder) or known
         anchors = tuple(journals.read_anchor(path) for path in journals.list_journals(folder))
         utc = now().isoformat(timespec="seconds")
         own = (participant, known.number, known.simulated, utc, reason, anchors)
@@ -97,11 +111,9 @@ def _clear_derived(study: StudyFolder, stone: roster.Tombstone, say: Say) -> Non
     """Remove the participant from all that was derived, whatever a kill left of it included; say what is left."""
     files.sweep(study.path)
     files.sweep_temporary()
+    left = (files.UNFINISHED, files.TEMPORARY)
     for path in sorted(study.path.rglob("*")):
-        is_unfinished = files.UNFINISHED.fullmatch(path.name) or files.TEMPORARY.fullmatch(
-            path.name
-        )
-        if is_unfinished and not _remove_link(path, say):
+        if any(one.fullmatch(path.name) for one in left) and not _remove_link(path, say):
             say(f"{path}: is still being written; when it is finished, run feel321 audit")
     _remove_link(study.path / WIDE, say)
     _remove_file(study.path / WIDE / f"{stone.participant}.csv", say)
@@ -111,7 +123,7 @@ def _clear_derived(study: StudyFolder, stone: roster.Tombstone, say: Say) -> Non
         lambda: write_answers(study),
         lambda: write_matches(study, read_stimuli(study.stimuli)),
     )
-    for path, write in zip([study.path / name for name in TABLES], writers, strict=True):
+    for path, write in zip([study.path / name for name in traces.TABLES], writers, strict=True):
         is_there = path.exists()
         _remove_link(path, say)
         try:
@@ -121,9 +133,9 @@ def _clear_derived(study: StudyFolder, stone: roster.Tombstone, say: Say) -> Non
             # A derived table can be made again; the data of someone who withdrew may not stay.
             path.unlink(missing_ok=True)
             say(f"{path}: was removed, because it could not be rewritten ({error})")
-    for folder in _list_results(study) if stone.journals else ():
+    for folder in traces.list_results(study) if stone.journals else ():
         _clear_results(folder, say)
-    for path, text in _list_outputs(study, before=stone.utc if stone.journals else ""):
+    for path, text in traces.list_outputs(study, before=stone.utc if stone.journals else ""):
         say(text if path.exists() else f"{text}; nothing is there now")
 
 
@@ -141,25 +153,17 @@ def _clear_results(folder: Path, say: Say) -> None:
         say(f"{folder}: holds other files; remove those with the participant's data")
 
 
-def _list_results(study: StudyFolder) -> Iterator[Path]:
-    """List the folders of results made of ratings; a trade-off of recordings alone takes long and holds nobody's."""
-    for folder in (study.path / name for name in RESULTS):
-        is_unrated = folder.name == "tradeoff" and not (folder / "tables" / "people.csv").is_file()
-        if folder.is_symlink() or (folder.is_dir() and not is_unrated):
-            yield folder
-
-
 def release_participant(study: StudyFolder, participant: str, *, now: journals.Clock) -> int:
     """Free the slot of a participant who will not come back; of one who never began, the code is free too."""
     folder = require_folder(study, participant)
     with hold_folder(folder):
-        holder, (journal, has_begun) = read_holder(folder), _open_newest(folder, now)
+        holder, (journal, has_begun) = roster.read_holder(folder), _open_newest(folder, now)
         refused = ""
         if roster.read_tombstone(folder) is not None:
             refused = "withdrew, there is nothing to release"
         elif holder is None:
             refused = "has no number, there is nothing to release"
-        elif holder.state == RELEASED:
+        elif holder.state == roster.RELEASED:
             refused = f"was released before; number {holder.number} is free"
         elif journal and journal.records.has(SessionFinished):
             refused = "has finished, so the slot stays taken; to remove the data: feel321 withdraw"
@@ -244,125 +248,3 @@ def _remove_link(path: Path, say: Say) -> bool:
     remedy = f"{target} is left, remove the participant's data there"
     say(f"{path}: was a link and is removed; {remedy}")
     return True
-
-
-# What is left of those who withdrew, for the audit.
-
-
-def find_data_left(study: StudyFolder) -> Iterator[str]:
-    """Find data of those who withdrew in every place but their own folder, which the audit looks at by itself."""
-    from feel321.analysis.report.folder import list_own
-
-    names, last = _find_withdrawn(study)
-    for name in names:
-        finish = f"who withdrew; finish: feel321 withdraw {study.path} --participant {name}"
-        places = {
-            study.path / "rehearsals" / name: f"is of a rehearsal of {name}",
-            study.path / WIDE / f"{name}.csv": f"is of {name}",
-        }
-        yield from (f"{path}: {what}, {finish}" for path, what in places.items() if path.exists())
-        for table in (study.path / one for one in TABLES):
-            text = table.read_text(encoding="utf-8", errors="replace") if table.is_file() else ""
-            if any(row.get("participant") == name for row in csv.DictReader(text.splitlines())):
-                yield f"{table}: holds rows of {name}, {finish}"
-    for folder in _list_results(study) if last else ():
-        for path in (folder / name for name in list_own(folder)):
-            if path.stat().st_mtime < datetime.fromisoformat(last).timestamp():
-                yield f"{path}: was made before somebody withdrew; remove it, and make it again"
-
-
-def list_stale(study: StudyFolder) -> Iterator[str]:
-    """Name what verbs wrote outside of the study before somebody withdrew, as far as it is there."""
-    outputs = _list_outputs(study, before=_find_withdrawn(study)[1])
-    yield from (text for path, text in outputs if path.exists())
-
-
-def _find_withdrawn(study: StudyFolder) -> tuple[list[str], str]:
-    """Find who withdrew, and when the last did who had recorded something; empty if nobody."""
-    stones = dict[str, roster.Tombstone]()
-    for folder in study.participants:
-        with suppress(ValueError):  # reported by whoever looks at the folder
-            if stone := roster.read_tombstone(folder):
-                stones[folder.name] = stone
-    times = [one.utc for one in stones.values() if one.journals]
-    return [*stones], max(times, key=datetime.fromisoformat, default="")
-
-
-# What verbs write: elsewhere, or into the study's own folders of results.
-
-
-@contextmanager
-def recording_output(
-    study: StudyFolder, verb: str, path: Path, *, now: journals.Clock
-) -> Iterator[None]:
-    """Record where a verb writes, before it does; the study's own folders of results need no record.
-
-    A report among journals or stimuli would be taken for one of them.
-    """
-    path = path.resolve()
-    kept = {study.path / name for name in ("sessions", "rehearsals", "stimuli", "calibration")}
-    if study.settings.is_file() and {one.resolve() for one in kept} & {path, *path.parents}:
-        raise ValueError(f"{path}: holds what {verb} reads; name a folder outside of it")
-    if not study.settings.is_file() or _is_own(study, path):
-        with closing_results(study, path):
-            yield
-        return
-    new = {"verb": verb, "path": str(path), "utc": now().isoformat(timespec="seconds")}
-    before = _read_outputs(study)
-    others = [one for one in before if (one["verb"], one["path"]) != (verb, str(path))]
-    _write_outputs(study, [*others, new])
-    try:
-        yield
-    except BaseException:
-        if not path.exists():  # nothing was written
-            _write_outputs(study, others)
-        raise
-
-
-def _write_outputs(study: StudyFolder, rows: list[dict[str, str]]) -> None:
-    text = "".join(f"{json.dumps(one, ensure_ascii=False)}\n" for one in rows)
-    write_text(study.path / OUTPUTS_FILE, text, private=True)
-
-
-def _read_outputs(study: StudyFolder) -> list[dict[str, str]]:
-    path = study.path / OUTPUTS_FILE
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-        rows = [json.loads(line) for line in lines]
-        _ = [(one["verb"], one["path"], datetime.fromisoformat(one["utc"])) for one in rows]
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        text = f"not as feel321 wrote it ({error}); restore it from a copy"
-        raise ValueError(f"{path}: {text}") from None
-    return rows
-
-
-def _list_outputs(study: StudyFolder, *, before: str) -> Iterator[tuple[Path, str]]:
-    """List what was written until a time, each with what there is to do when somebody withdrew since."""
-    for one in _read_outputs(study):
-        if before and datetime.fromisoformat(one["utc"]) <= datetime.fromisoformat(before):
-            wrote = f"{one['path']}: {one['verb']} wrote there before a participant withdrew"
-            remedy = f"remove the participant's data there and its line in {OUTPUTS_FILE}"
-            yield Path(one["path"]), f"{wrote}; write it anew, or {remedy}"
-
-
-def _is_own(study: StudyFolder, path: Path) -> bool:
-    return path.resolve().parent == study.path.resolve() and path.name in RESULTS
-
-
-@contextmanager
-def closing_results(study: StudyFolder, folder: Path) -> Iterator[None]:
-    """Make a study's own folder of results private before anything is in it, and its files once they are written."""
-    if os.name == "nt" or not study.settings.is_file() or not _is_own(study, folder):
-        yield
-        return
-    is_shared = study.sessions.is_dir() and files.is_of_group(study.sessions)
-    is_new, mode = not folder.exists(), 0o750 if is_shared else 0o700
-    make_folder(folder, private=True)
-    folder.chmod(mode)
-    try:
-        yield
-    finally:
-        for path in (one for one in folder.rglob("*") if not one.is_symlink()):
-            path.chmod(mode if path.is_dir() else mode & 0o640)
-        if is_new and not any(folder.iterdir()):
-            folder.rmdir()

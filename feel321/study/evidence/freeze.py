@@ -22,17 +22,18 @@ from feel321 import intake
 from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_versions
 from feel321.doors import name_of
 from feel321.records import to_json_value
-from feel321.study.participants.numbers import read_holder
-from feel321.study.participants.roster import read_sealed, write_sealed
+from feel321.study.folder import Outcome
+from feel321.study.participants.roster import read_holder, read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.journal import digest, list_journals
 from feel321.study.session.opening import FROZEN_FILE, flatten
+from feel321.study.terminal import format_facts
 from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from feel321.study.folder import StudyFolder
+    from feel321.study.folder import OpenStudy, StudyFolder
     from feel321.study.session.journal import Clock
     from feel321.study.settings.schema import Settings
 
@@ -92,6 +93,33 @@ def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, s
     own = Frozen(now().isoformat(timespec="seconds"), named, tuple(_list_hypotheses(settings)))
     entry = {name: value for name, value in asdict(own).items() if name != "sha256"}
     return replace(own, sha256=write_sealed(study.path / FROZEN_FILE, entry)), changes
+
+
+def report_frozen(lab: OpenStudy, *, show: bool) -> Outcome:
+    """Freeze a study, or only show what is frozen, and say what changed since."""
+    from feel321.study.settings.read import read_settings
+
+    study, path = lab.folder, lab.folder.path
+    if show:
+        frozen = read_frozen(study)
+        changes = {}
+        if frozen:
+            named = list_settings(study, read_settings(study.settings))
+            changes = find_changes(frozen.settings, named)
+    else:
+        frozen, changes = freeze_study(study, now=lab.now)
+    faults = find_faults(study)
+    for fault in faults:
+        lab.say(fault)
+    lines = [f"{path}: nothing is frozen; before the first session: feel321 freeze"]
+    if frozen is not None:
+        lines = [f"{path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
+    if frozen is not None and show:
+        lines += format_facts({"hypotheses": frozen.hypotheses, "settings": frozen.settings})
+    if changes:
+        lines += ["changed:", *(f"  {one}" for one in changes.values())]
+    facts = {"frozen": frozen and asdict(frozen), "changes": [*changes.values()]}
+    return Outcome({**facts, "faults": faults}, lines)
 
 
 def read_frozen(study: StudyFolder) -> Frozen | None:
@@ -187,11 +215,6 @@ def _drop_unset(value: Any) -> Any:  # noqa: ANN401 - whatever JSON holds
     return [_drop_unset(one) for one in value] if isinstance(value, list | tuple) else value
 
 
-def list_changes(study: StudyFolder, settings: Settings, frozen: Frozen) -> dict[str, str]:
-    """Name what differs from what was frozen."""
-    return find_changes(frozen.settings, list_settings(study, settings))
-
-
 # The state in a line, what is wrong with it, and what it makes of an analysis.
 
 
@@ -265,7 +288,7 @@ def make_standing(
     given = {"metrics": tuple(metrics) or None, "draws": draws}
     named = {name: value for name, value in given.items() if value is not None}
     asked = settings.model_copy(update={"analysis": settings.analysis.model_copy(update=named)})
-    changes = list_changes(study, asked, frozen)
+    changes = find_changes(frozen.settings, list_settings(study, asked))
     aside = [text for name, text in changes.items() if name.startswith(ASIDE)]
     weighty = [text for name, text in changes.items() if not name.startswith(ASIDE)]
     when, count, reason = frozen.utc[:10], len(frozen.hypotheses), ""

@@ -9,6 +9,7 @@ with the settings. Each participant's plan and journals are read once.
 from __future__ import annotations
 
 import csv
+import hashlib
 import json
 import math
 from collections import defaultdict
@@ -18,19 +19,20 @@ from datetime import datetime
 from itertools import chain as join
 from itertools import pairwise, zip_longest
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321 import intake
 from feel321.files import digest_file, list_csv
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study import ratings
-from feel321.study.auditing.evidence import Evidence, weigh
-from feel321.study.auditing.replay import MALFORMED, audit_steps
+from feel321.study.evidence import checkpoints
+from feel321.study.evidence.checkpoints import EVIDENCE, Checkpoint, FileMark, is_journal
+from feel321.study.evidence.freeze import describe_frozen, find_faults
+from feel321.study.evidence.replay import MALFORMED, audit_steps
 from feel321.study.folder import RATING_COLUMNS, Audit, list_delivered
-from feel321.study.freeze import describe_frozen, find_faults
 from feel321.study.participants import answers, roster
-from feel321.study.participants.numbers import Holder, find_doubles, read_holder
-from feel321.study.participants.withdrawal import find_data_left, list_stale
+from feel321.study.participants.traces import find_data_left, list_stale
 from feel321.study.session import events, journal
 from feel321.study.session.plan import PLAN_FILE, TOMBSTONE_FILE, Dossier, Plan, require_plan
 
@@ -51,6 +53,16 @@ _CLOCKS_ASLEEP = {
 }  # fmt: skip
 
 
+# How far a participant is, and the rows in each table; None where the files cannot be read, as the findings say.
+Derived = tuple[roster.Progress, dict[str, list[dict[str, Any]]]]
+
+
+class Remark(str):
+    """What is worth knowing and no finding."""
+
+    __slots__ = ()
+
+
 def examine(
     study: StudyFolder,
     *,
@@ -60,36 +72,32 @@ def examine(
 ) -> Audit:
     """Verify a study by itself, and by its checkpoints; expect: one that must be there, remotes: further ones."""
     remedy = f"not a participant's folder; move it out of {study.sessions}"
-    findings = [f"{path}: {remedy}" for path in study.strangers]
+    said = [f"{path}: {remedy}" for path in study.strangers]
     folders, stimuli = study.participants, None
     if folders or study.stimuli.exists():
-        findings += check_stimuli(study.stimuli)
+        said += check_stimuli(study.stimuli)
         with suppress(OSError, ValueError):  # among the findings already
             stimuli = read_stimuli(study.stimuli)
-            findings += _guard(study.stimuli, _audit_details(stimuli))
-    tables, holders = Tables(study, stimuli), list[Holder]()
+            said += _guard(study.stimuli, _audit_details(stimuli))
+    derived, holders = dict[str, Derived | None](), list[roster.Holder]()
     for done, folder in enumerate(folders, start=1):
-        findings += _guard(folder, _audit_participant(folder, tables))
+        said += _guard(folder, _audit_participant(study, folder, stimuli, derived=derived))
         with suppress(OSError, ValueError):  # of a plan that is among the findings
-            holders += filter(None, [read_holder(folder)])
+            holders += filter(None, [roster.read_holder(folder)])
         progress(done, len(folders))
-    findings += [*find_doubles(holders), *_guard(study.path, find_data_left(study))]
-    evidence, remarks = Evidence(), list[str]()
+    said += [*roster.find_doubles(holders), *_guard(study.path, find_data_left(study))]
+    newest = sentence = ""
     if not study.is_rehearsal:
-        wrong, remarks = tables.compare()
-        evidence = weigh(study, expect=expect, remotes=remotes)
-        findings += [*wrong, *evidence.findings]
-    remarks = [*evidence.remarks, *remarks, *_audit_inputs(study)]
-    remarks += [*roster.describe_rigs(tables.people), *_guard(study.path, list_stale(study))]
-    remarks += filter(None, [describe_frozen(study)])
-    every = dict.fromkeys([*findings, *find_faults(study)])
-    said, newest = evidence.sentence, evidence.checkpoint
-    return Audit(tuple(every), tuple(remarks), said, newest, len(study.journals))
-
-
-def audit_study(study: StudyFolder) -> list[str]:
-    """Verify all plans, journals and stimuli of a study, the tables and the checkpoints."""
-    return list(examine(study).findings)
+        compared, newest, sentence = weigh(study, expect=expect, remotes=remotes)
+        said += [*compared, *_compare_tables(study, stimuli, derived)]
+    people = [one[0] for one in derived.values() if one]
+    stale = [*roster.describe_rigs(people), *_guard(study.path, list_stale(study))]
+    known = filter(None, [describe_frozen(study)])
+    said += map(Remark, [*_audit_inputs(study), *stale, *known])
+    said += find_faults(study)
+    remarks = tuple(one for one in said if isinstance(one, Remark))
+    findings = dict.fromkeys(one for one in said if not isinstance(one, Remark))
+    return Audit(tuple(findings), remarks, sentence, newest, len(study.journals))
 
 
 def _guard(place: Path, findings: Iterable[str]) -> Iterator[str]:
@@ -127,16 +135,25 @@ def _audit_inputs(study: StudyFolder) -> Iterator[str]:
             yield f"{path}: {text}; compute it anew: feel321 analyze"
 
 
-def _audit_participant(folder: Path, tables: Tables) -> Iterator[str]:
+def _audit_participant(
+    study: StudyFolder,
+    folder: Path,
+    stimuli: StimulusSet | None,
+    *,
+    derived: dict[str, Derived | None],
+) -> Iterator[str]:
     if (folder / TOMBSTONE_FILE).exists():
         yield from roster.find_leftovers(folder)
         return
-    dossier, stimuli = None, tables.stimuli
+    derived[folder.name] = dossier = None
     with suppress(*MALFORMED, OSError, ValueError):  # found below, part by part
-        dossier = tables.study.read_person(folder)
-        tables.take(dossier)
-    if folder.name not in {one.participant for one in tables.people}:
-        tables.unread.add(folder.name)
+        dossier = study.read_person(folder)
+        own: dict[str, list[dict[str, Any]]] = {}
+        if stimuli:
+            own["ratings.csv"] = ratings.list_judgements(dossier, stimuli)
+            own[ratings.MATCHES_FILE] = [*ratings.list_matches(dossier, stimuli)]
+            own[answers.ANSWERS_FILE] = answers.list_answers(dossier)
+        derived[folder.name] = roster.make_progress(dossier), own
     if folder.is_symlink():
         yield f"{folder}: is a link; put the folder itself there"
     path = folder / PLAN_FILE
@@ -271,52 +288,37 @@ FIXED = {"participant", "number", "simulated", "first_utc", "total"}
 """Columns of the roster that do not change as a session goes on."""
 
 
-class Tables:
-    """The tables of a study, derived anew; unread: participants whose files cannot be read, among the findings."""
-
-    def __init__(self, study: StudyFolder, stimuli: StimulusSet | None) -> None:
-        self.study, self.stimuli = study, stimuli
-        self.people, self.unread = list[roster.Progress](), set[str]()
-        self._rows: dict[str, list[dict[str, Any]]] = {}
-        if stimuli and study.participants:  # without, ratings may come from elsewhere
-            self._rows = {name: [] for name in COLUMNS}
-
-    def take(self, dossier: Dossier) -> None:
-        """Derive the rows of a participant, all or none."""
-        own: dict[str, list[dict[str, Any]]] = {}
-        if self.stimuli:
-            own["ratings.csv"] = ratings.list_judgements(dossier, self.stimuli)
-            own[ratings.MATCHES_FILE] = [*ratings.list_matches(dossier, self.stimuli)]
-            own[answers.ANSWERS_FILE] = answers.list_answers(dossier)
-        self.people.append(roster.make_progress(dossier))
-        for name, rows in own.items():
-            self._rows[name] += rows
-
-    def compare(self) -> tuple[list[str], list[str]]:
-        """Compare all tables that are there with the journals; returns findings and remarks."""
-        findings, remarks = list[str](), list[str]()
-        columns, people = roster.list_roster(self.people)
-        for name, rows in {roster.ROSTER_FILE: people, **self._rows}.items():
-            path = self.study.path / name
-            lines = [*list_csv(COLUMNS.get(name, columns), rows)]
-            if not path.is_file() or path.read_bytes() == "".join(lines).encode():
-                continue
-            try:
-                with intake.open_text(path) as file:
-                    reader = csv.DictReader(file)
-                    written = [(reader.line_num, row) for row in reader]
-            except (ValueError, csv.Error) as error:
-                findings.append(f"{path}: cannot be read ({error}); {ANEW}")
-                continue
-            # What changes as a session goes on; one that was begun anew is rejected as a whole.
-            lagging = {*columns} - FIXED if name == roster.ROSTER_FILE else {"rejected"}
-            kept = [one for one in written if one[1].get("participant") not in self.unread]
-            wrong, late = _compare([*csv.DictReader(lines)], kept, key=KEYS[name], lagging=lagging)
-            findings += [f"{path}{text}; {ANEW}" for text in wrong]
-            if late:
-                text = f"lacks rows that the journals have ({late}); unless they are newer, it was edited"
-                remarks.append(f"{path}: {text}; {ANEW}")
-        return findings, remarks
+def _compare_tables(
+    study: StudyFolder, stimuli: StimulusSet | None, derived: Mapping[str, Derived | None]
+) -> Iterator[str]:
+    """Compare all tables that are there with the journals."""
+    known = [one for one in derived.values() if one]
+    unread = {name for name, one in derived.items() if one is None}
+    columns, people = roster.list_roster([progress for progress, _ in known])
+    tables = {roster.ROSTER_FILE: people}
+    if stimuli and study.participants:  # without, ratings may come from elsewhere
+        tables |= {name: [row for _, own in known for row in own[name]] for name in COLUMNS}
+    for name, rows in tables.items():
+        path, lines = study.path / name, [*list_csv(COLUMNS.get(name, columns), rows)]
+        if not path.is_file() or path.read_bytes() == "".join(lines).encode():
+            continue
+        try:
+            with intake.open_text(path) as file:
+                reader = csv.DictReader(file)
+                written = [(reader.line_num, row) for row in reader]
+        except (ValueError, csv.Error) as error:
+            yield f"{path}: cannot be read ({error}); {ANEW}"
+            continue
+        # What changes as a session goes on; one that was begun anew is rejected as a whole.
+        lagging = {*columns} - FIXED if name == roster.ROSTER_FILE else {"rejected"}
+        kept = [one for one in written if one[1].get("participant") not in unread]
+        wrong, late = _compare([*csv.DictReader(lines)], kept, key=KEYS[name], lagging=lagging)
+        yield from (f"{path}{text}; {ANEW}" for text in wrong)
+        if late:
+            text = (
+                f"lacks rows that the journals have ({late}); unless they are newer, it was edited"
+            )
+            yield Remark(f"{path}: {text}; {ANEW}")
 
 
 def _compare(
@@ -379,3 +381,210 @@ def _find_wrong(row: Row, own: Row, lagging: set[str]) -> str:
         if (got := row.get(name, "")) != value and not (is_old and name in lagging):
             return f"{name} is {got!r}, the journals say {value!r}"
     return ""
+
+
+# Checkpoints: what they, here and at the remotes, say of the files as they are now.
+
+NOTED = {"rig.toml", "frozen.json"}
+"""May change at any time: each session's header holds the rig, and frozen.json its own history."""
+# Compared with the journals, row by row.
+DERIVED = {"ratings.csv", "participants.csv", "matches.csv"}
+
+OCCASIONS = {"report": {"analyze", "withdraw"}, "stimuli": {"build"}}
+"""Folder -> occasions on which what is in it may change."""
+
+REMEDIES = {
+    "sessions": "restore it from a copy",
+    "report": "not by an analysis; write it anew: feel321 analyze",
+    "stimuli": "not by feel321 build; restore it from a copy",
+}
+REMEDY = "if that was intended, give the reason: feel321 seal --reason TEXT"
+LINE_ENDS = "has other line endings, and no other change"
+
+
+def weigh(
+    study: StudyFolder, *, expect: str = "", remotes: Sequence[str] = ()
+) -> tuple[list[str], str, str]:
+    """Compare a study with its checkpoints; expect: the id of one that must be here.
+
+    Returns findings and remarks, the id of the newest checkpoint, and a sentence on how far the evidence reaches.
+    """
+    home, own, today = (
+        study.path / EVIDENCE,
+        checkpoints.read_own(study),
+        checkpoints.take_marks(study),
+    )
+    history, held, said = own.history, list[str](), [*filter(None, [own.problem])]
+    binding = [history] if history else []
+    for url in dict.fromkeys([*own.pushed, *remotes]):
+        try:
+            branches = checkpoints.fetch_branches(url, history)
+        except OSError as error:
+            said.append(Remark(f"{url}: could not be looked at ({error})"))
+            held.append(f"{url} could not be looked at")
+            continue
+        for branch in sorted(own.pushed.get(url, set()) - set(branches)):
+            text = f"{url}: had the checkpoints of {branch} and has none now; ask whoever keeps it"
+            said.append(text)
+        there = {one.id for theirs in branches.values() for one in theirs}
+        held += [f"{url} has those until {one.utc}" for one in history if one.id in there][-1:]
+        contradict = []
+        for branch, theirs in branches.items():
+            unknown = [one for one in theirs if one.id not in {own.id for own in history}]
+            said += _find_back(study, unknown)
+            if difference := _compare_branch(own, theirs, len(unknown), place=(branch, url)):
+                said.append(type(difference)(f"{home}: {difference}"))
+                contradict.append(theirs)
+        binding += [max(contradict, key=lambda one: one[-1].utc)] if contradict else []
+    if expect and not any(one.id.startswith(expect) for one in history):
+        text = f"has no checkpoint {expect}; if the id is right, the history was made anew or turned back"
+        said.append(f"{home}: {text}")
+    said += [line for one in binding for line in _compare_files(study, one, today)]
+    if not history:
+        return said, "", "without evidence: no checkpoint"
+    last, now = history[-1], {name: mark for name, mark in today.items() if is_journal(name)}
+    begun = sum(name not in last.marks for name in now)
+    changed = sum(last.marks.get(name, mark) != mark for name, mark in now.items())
+    alone = "no remote holds them, so the folder could be rewritten unnoticed (feel321 seal --to REMOTE)"
+    count = f"{len(history)} checkpoint{'s' * (len(history) > 1)}"
+    return (
+        said,
+        last.id,
+        (
+            f"compared with {count}, the last {last.id[:12]} of {last.utc} on {len(last.marks)} files; "
+            f"{'; '.join(held) or alone}; since then: new journals {begun}, longer or changed {changed}"
+        ),
+    )
+
+
+def _find_back(study: StudyFolder, unknown: Sequence[Checkpoint]) -> Iterator[str]:
+    """Find who withdrew at checkpoints that are not here, and was brought back by a backup."""
+    for one in unknown:
+        folder = study.sessions / one.who
+        is_there = (folder / PLAN_FILE).exists() and not (folder / TOMBSTONE_FILE).exists()
+        if one.by == "withdraw" and not one.begins and is_there:
+            again = f"feel321 withdraw {quote(str(study.path))} --participant {one.who}"
+            text = f"withdrew at the checkpoint of {one.utc}, and is back from a copy; remove again: {again}"
+            yield f"{folder}: {text}"
+
+
+def _compare_branch(
+    own: checkpoints.Own, theirs: Sequence[Checkpoint], unknown: int, *, place: tuple[str, str]
+) -> str:
+    """Compare the history here with a remote's (place: branch and URL); what differs if that must hold here too."""
+    branch, url = place
+    said = f"{branch} at {url}, the newest of {theirs[-1].utc}"
+    if not own.history:
+        return Remark(f"has none; compared with the checkpoints of {said}")
+    if unknown == len(theirs):
+        return f"shares none of the checkpoints of {said}; made anew, or another study"
+    if unknown and branch == own.branch:
+        return (
+            f"lacks {unknown} checkpoints of {said}; an old copy was restored, or it was made anew; if a backup was "
+            "restored, say so: feel321 seal --reason TEXT"
+        )
+    return ""  # another copy of the study may have gone on from a checkpoint that is here
+
+
+def _compare_files(
+    study: StudyFolder, history: Sequence[Checkpoint], today: Mapping[str, FileMark]
+) -> Iterator[str]:
+    """Compare a history with the files of today."""
+    # Of each file, the last checkpoint that may have changed it, and what it was then.
+    base: dict[str, tuple[Checkpoint, FileMark]] = {}
+    strayed = set[str]()  # files that were something else since
+    begun: dict[tuple[str, str], Checkpoint] = {}  # and did not end
+    for one in history:
+        _follow(one, base, strayed)
+        begun.pop((one.by, one.who), None)
+        if one.begins:
+            begun[one.by, one.who] = one
+        elif one.by == "withdraw":
+            yield Remark(f"{study.sessions / one.who}: withdrew at the checkpoint of {one.utc}")
+        if one.reason:
+            said = f"the checkpoint of {one.utc} declares: {one.reason}"
+            yield Remark(f"{study.path / EVIDENCE}: {said}")
+    for name, (one, mark) in sorted(base.items()):
+        path, now = study.path / name, today.get(name)
+        # The number was given back before anything was recorded.
+        is_back = (
+            not path.parent.exists()
+            and name.replace(PLAN_FILE, journal.name_journal(1)) not in base
+        )
+        if now is not None and is_journal(name):
+            seen = {own.marks[name]: own for own in reversed(history) if name in own.marks}
+            yield from _judge_journal(path, seen)
+        elif (now != mark or name in strayed) and not is_back:
+            is_open = any(_may_change(other, name, now) for other in begun.values())
+            yield from _judge(path, name, (one, mark, now), is_open=is_open)
+
+
+def _follow(
+    one: Checkpoint, base: dict[str, tuple[Checkpoint, FileMark]], strayed: set[str]
+) -> None:
+    """Follow a history by one checkpoint."""
+    for name in base.keys() | one.marks.keys():
+        mark = one.marks.get(name)
+        is_free = not one.begins and _may_change(one, name, mark)
+        if mark is None and is_free:
+            del base[name]
+        elif mark is not None and (is_free or name not in base):
+            base[name] = one, mark
+            strayed.discard(name)
+        elif mark != base[name][1] and not name.startswith("sessions/"):
+            strayed.add(name)
+
+
+def _may_change(one: Checkpoint, name: str, mark: FileMark | None) -> bool:
+    """Check whether a file may have become this on the occasion of a checkpoint: a withdrawal only removes files."""
+    area, _, rest = name.partition("/")
+    if area == "sessions":
+        who = rest.partition("/")[0]
+        stone = f"sessions/{who}/{TOMBSTONE_FILE}"
+        is_declared = one.reason and stone in one.marks
+        return bool(is_declared or (one.by, one.who) == ("withdraw", who)) and (
+            mark is None or name == stone
+        )
+    return one.by in OCCASIONS[area] if area in OCCASIONS else name in NOTED or bool(one.reason)
+
+
+def _judge(
+    path: Path, name: str, became: tuple[Checkpoint, FileMark, FileMark | None], *, is_open: bool
+) -> Iterator[str]:
+    """Judge a file that is not what it was, or was not all the time; is_open: by what did not end."""
+    area, (one, mark, now) = name.partition("/")[0], became
+    text = (
+        f"{path}: {'is gone' if now is None else 'was changed'} since the checkpoint of {one.utc}"
+    )
+    if name in DERIVED or (now is None and area == "report"):
+        return
+    if is_open or name in NOTED:
+        yield Remark(text + " by what did not end" * is_open)
+        return
+    if now not in {None, mark}:
+        plain = path.read_bytes().replace(b"\r\n", b"\n")
+        if mark.sha256 in {journal.digest(plain), journal.digest(plain.replace(b"\n", b"\r\n"))}:
+            yield Remark(f"{path}: {LINE_ENDS}")
+            return
+    remedy = REMEDIES.get(area, REMEDY)
+    if area == "sessions" and path.with_name(TOMBSTONE_FILE).is_file():
+        remedy = f"no checkpoint declares the tombstone there; {REMEDY}"
+    yield f"{text}; {remedy}"
+
+
+def _judge_journal(path: Path, seen: Mapping[FileMark, Checkpoint]) -> Iterator[str]:
+    """Demand that a journal begins with all that it ever was."""
+    content, good, whole = checkpoints.read_lines(path), 0, hashlib.sha256()
+    for mark, one in sorted(seen.items(), key=lambda item: item[0]):
+        when = f"at the checkpoint of {one.utc}; restore it from a copy"
+        if len(content) < mark.size:
+            yield f"{path}: was cut, {len(content)} bytes are left of {mark.size} {when}"
+            return
+        whole.update(content[good : mark.size])
+        if whole.hexdigest() != mark.sha256:
+            first, last = (content[:size].count(b"\n") for size in (good, mark.size))
+            yield f"{path}, lines {first + 1} to {last}: are not those {when}"
+            return
+        good = mark.size
+    if b"\r\n" in path.read_bytes():
+        yield Remark(f"{path}: {LINE_ENDS}")

@@ -1,1 +1,0 @@
-"""Audit: check that a study still holds what was recorded."""

@@ -1,1 +1,0 @@
-"""Export a study for others: a dataset that validators accept, and the methods section."""
