@@ -11,8 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+from pandas import DataFrame
+
 from feel321.analysis.primary.sensitivity import LOST, NOT_ESTIMABLE, OPEN, PREDICTS
-from feel321.analysis.report.section import Found, find_row, make_row, read_ends
+from feel321.analysis.report.section import Found, Row, find_row, make_row, read_ends
 from feel321.analysis.words import (
     capitalise,
     format_interval,
@@ -23,10 +26,7 @@ from feel321.analysis.words import (
 )
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.analysis.replication import Paper, PaperAnswer
-    from feel321.analysis.report.section import Row
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
@@ -231,8 +231,6 @@ def _list_surprises(
 
     Where the primary model cannot tell which reducers are exceptional, list the excesses that claims are about.
     """
-    from feel321.analysis.replication import AGREES, DIFFERS
-
     named: dict[str, set[str]] = {name: set() for one in paper.claims for name in one.exceptions}
     for claim in paper.claims:
         if claim.measure == "rating_excess" and claim.expect in WAYS:
@@ -253,19 +251,17 @@ def _list_surprises(
             claim.measure == "rating_excess"
             and one.found
             and claim.expect in WAYS
-            and one.verdict in {AGREES, DIFFERS}
+            and one.verdict in {"agrees", "differs"}
         ):
             yield {
                 "reducer": claim.options["reducer"], "points": [abs(one.found.value)] * 2, "where": [], "otherwise": [],
-                "ways": ["higher" if one.found.value > 0 else "lower"], "named": one.verdict == AGREES,
+                "ways": ["higher" if one.found.value > 0 else "lower"], "named": one.verdict == "agrees",
                 "metrics": [metrics] if isinstance(metrics, str) else list(metrics),
             }  # fmt: skip
 
 
 def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
     """Tabulate the match metrics of every recording and reducer, with the paper's numbers and mountings beside."""
-    import pandas as pd
-
     from feel321.analysis.replication import tabulate_metric
 
     matches = ("spectral_match", "temporal_match")

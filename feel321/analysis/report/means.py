@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from pandas import DataFrame
 
 from feel321.analysis.agreement import SMALLEST
-from feel321.analysis.association import correlate_items, make_panel
+from feel321.analysis.association import Panel, correlate_items, make_panel
 from feel321.analysis.contrasts import compare
 from feel321.analysis.figures import assign_looks, find_cut
 from feel321.analysis.mixed.model import contrast, fit_mixed
@@ -22,9 +23,10 @@ from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, read_ends
-from feel321.analysis.table.columns import order_reducers
+from feel321.analysis.table.columns import Step, order_reducers
 from feel321.analysis.table.items import (
     Part,
+    Table,
     find_sources,
     make_items,
     select_tests,
@@ -36,12 +38,7 @@ from feel321.analysis.table.schema import ANSWERED, APART, CHOSEN, PAIR, PAIRED,
 from feel321.analysis.words import format_method, format_span
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
-    from feel321.analysis.association import Panel
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.columns import Step
-    from feel321.analysis.table.items import Table
     from feel321.records import Statistic
 
 REDUCER, TEST = "reducer", ROLES[0]
@@ -216,7 +213,10 @@ def compute_contrasts(table: Table, choices: Choices) -> Found:
         pairs, joint = compared
         found.add("contrasts", pairs, **part.keys)
         frame = pd.DataFrame(pairs)
-        sizes = {"differ": int((frame["p_holm"] < parts.SIGNIFICANCE).sum()), "n_pairs": len(pairs)}
+        sizes: Row = {
+            "differ": int((frame["p_holm"] < parts.SIGNIFICANCE).sum()),
+            "n_pairs": len(pairs),
+        }
         people = part.rows["participant"].nunique()
         found.add("reducers_together", [joint | sizes], n=people, **part.keys)
         same = frame.loc[frame["equivalent"], ["first", "second"]].to_numpy().tolist()

@@ -11,22 +11,18 @@ from pandas import DataFrame
 
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary import sensitivity
-from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, tabulate_slopes
+from feel321.analysis.primary.model import FEW, FEWEST, Primary, fit_primary, tabulate_slopes
 from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE
-from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
+from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, Influence, conclude
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, read_ends
-from feel321.analysis.table.columns import ROTATIONS, TENTH
-from feel321.analysis.table.items import Part, split_tests
+from feel321.analysis.table.columns import ROTATIONS, TENTH, Step
+from feel321.analysis.table.items import Part, Table, split_tests
 from feel321.analysis.table.schema import STAND_INS
 from feel321.analysis.words import format_name
 
 if TYPE_CHECKING:
-    from feel321.analysis.primary.model import Primary
-    from feel321.analysis.primary.sensitivity import Influence
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.columns import Step
-    from feel321.analysis.table.items import Table
     from feel321.types import MetricInfo
 
 HIGHER, LOWER = "higher", "lower"

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from pandas import DataFrame
 
 from feel321.analysis.agreement import rater_model
 from feel321.analysis.primary.model import adjust_holm, fit_slopes
@@ -17,16 +18,13 @@ from feel321.analysis.report import section as parts
 from feel321.analysis.report.primary import per_step
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.screening import RULES, screen_raters
-from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
+from feel321.analysis.table.items import Part, Table, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import format_name
 from feel321.names import MATCHES
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Table
 
 NORMAL = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % interval."""

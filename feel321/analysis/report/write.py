@@ -11,6 +11,9 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+from pandas import DataFrame
+
 from feel321.analysis import words
 from feel321.analysis.figures import list_undrawable
 from feel321.analysis.page import render_template, render_words
@@ -29,8 +32,6 @@ from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.analysis.replication import Paper
 
 SCHEMA_VERSION = 2
@@ -337,8 +338,6 @@ def list_shown(one: tuple[Section, Found]) -> list[TableForm]:
 
 def make_frame(table: Table, found: Iterable[Found], standing: Standing) -> DataFrame:
     """Make the frame: every number of the report, one row each."""
-    import pandas as pd
-
     tables = {"sizes": count_table(table)}
     for one in found:
         tables |= {name: rows for name, rows in one.rows.items() if rows}
@@ -412,8 +411,6 @@ def _write(table: Table, results: Results, *, found: Everything, target: Path) -
 
 def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
     """Describe every column of every table, and every quantity that its column ``value`` holds."""
-    import pandas as pd
-
     described = make_dictionary({f"report/{name}.csv": frame for name, frame in frames.items()})
     known = {(form.name, one.name): (one.meaning, one.p) for section in sections
              for form in section.tables.values() for one in form.quantities}  # fmt: skip

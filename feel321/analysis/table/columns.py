@@ -19,16 +19,15 @@ from dataclasses import asdict, dataclass, fields, replace
 from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
+from pandas import DataFrame, Series
 
 from feel321.analysis.table import schema
 from feel321.names import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN
 from feel321.types import MetricInfo
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
 
 DECLARED = "manifest.json"
 """File beside a manifest whose ``metrics`` say what the columns of metrics are."""
@@ -81,8 +80,6 @@ def describe_manifest(metrics: Iterable[str] = ()) -> dict[str, str]:
 
 def list_numeric(cells: DataFrame) -> list[str]:
     """List the columns, read as text, that hold numbers and are no identity: all that may be used as a metric."""
-    import pandas as pd
-
     found = []
     for name in (name for name in map(str, cells) if name not in NOT_METRICS):
         filled = cells.loc[cells[name] != "", name]
@@ -93,8 +90,6 @@ def list_numeric(cells: DataFrame) -> list[str]:
 
 def read_attributes(manifest: Path | DataFrame) -> DataFrame:
     """Read every numeric column of a manifest that may say what stimuli are like, by stimulus_id."""
-    import pandas as pd
-
     cells = schema.read_cells(manifest).set_index("stimulus_id")
     out = {schema.GAIN} | {name for name, kind in schema.MANIFEST.items() if kind == schema.UNUSED}
     names = [name for name in list_numeric(cells) if name not in out]
@@ -235,8 +230,6 @@ def make_dictionary(
     tables: Mapping[str, DataFrame], info: Mapping[str, MetricInfo] | None = None
 ) -> DataFrame:
     """Describe the columns of tables by file, such as ``tradeoff/points.csv``; info: what further metrics declare."""
-    import pandas as pd
-
     itself = pd.DataFrame([asdict(read_dictionary()[0])])
     return pd.DataFrame(
         asdict(describe_column(file, str(name), frame[name], info=info or {}))

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pandas import DataFrame, Series, factorize
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, HIGHEST, NAMING, NO, PAIRED, RECAST, YES
@@ -23,9 +24,6 @@ from feel321.analysis.words import capitalise, format_level, format_name
 from feel321.doors import as_names, check_name
 from feel321.records import Result
 from feel321.types import MetricInfo
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
@@ -144,8 +142,6 @@ def as_votes(given: Table | ArrayLike) -> ArrayLike:
 
 def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFrame:
     """Give ratings a plain index, so that no row is matched with another by a label that both happen to have."""
-    from pandas import DataFrame
-
     ratings = ratings.rows if isinstance(ratings, Table) else ratings
     if not isinstance(ratings, DataFrame):
         got = type(ratings).__name__
@@ -427,8 +423,6 @@ class Items:
 
 def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
     """Gather a tidy table of one scale into arrays."""
-    from pandas import Series, factorize
-
     rows, notes = open_tests(ratings, metrics, named=["recording"])
     item, names = factorize(rows[STIMULUS], sort=True)
     person = factorize(rows["participant"], sort=True)[0]

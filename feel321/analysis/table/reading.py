@@ -19,9 +19,10 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from pandas import DataFrame, Series
 
 from feel321 import intake
 from feel321.analysis.table import columns as columns_of
@@ -32,9 +33,6 @@ from feel321.analysis.words import name_some
 from feel321.doors import as_names, as_path, describe
 from feel321.names import REDUCER_NAMES
 from feel321.types import MetricInfo, PathLike
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
 
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
@@ -125,8 +123,6 @@ def read_table(
     >>> analysis.read_table(ratings, manifest).metrics
     ('temporal_match',)
     """
-    from pandas import DataFrame
-
     if manifest is None:
         ratings, manifest = find_tables(ratings)
     (judged, what), (listed, where) = _open(ratings, "ratings"), _open(manifest, "manifest")
