@@ -133,11 +133,9 @@ def check_study(
     elif study.participants:
         lost = "missing, but sessions were run with it; put it back or build it again"
         found += Problems((f"{study.stimuli}: {lost}",))
-    noticed = tuple(f"{one.name}: {text}" for one in facts for text in one.warnings)
-    found += Problems(warnings=noticed)
-    if found.problems:
-        return found
-    return found + Problems(warnings=tuple(find_warnings(study, settings, facts)))
+    warnings = [f"{one.name}: {text}" for one in facts for text in one.warnings]
+    warnings += [] if found.problems else find_warnings(study, settings, facts)
+    return found + Problems(warnings=tuple(warnings))
 
 
 def _examine(

@@ -29,7 +29,7 @@ from feel321.study.terminal import echo
 from feel321.study.thresholds import find_warnings, read_thresholds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 

@@ -99,10 +99,9 @@ def report_frozen(lab: OpenStudy, *, show: bool) -> Outcome:
     """Freeze a study, or only show what is frozen, and say what changed since."""
     from feel321.study.settings.read import read_settings
 
-    study, path, changes = lab.folder, lab.folder.path, dict[str, str]()
-    if not show:
-        frozen, changes = freeze_study(study, now=lab.now)
-    elif frozen := read_frozen(study):
+    study, path = lab.folder, lab.folder.path
+    frozen, changes = (read_frozen(study), {}) if show else freeze_study(study, now=lab.now)
+    if show and frozen:
         named = list_settings(study, read_settings(study.settings))
         changes = find_changes(frozen.settings, named)
     faults = find_faults(study)
