@@ -14,10 +14,8 @@ if TYPE_CHECKING:
 Values: TypeAlias = NDArray[np.float64]
 
 CONFIDENCE = 0.95
-
-FLAT = 1e-24
-"""Share of a sum of squares below which its centred part is rounding error: the values are all the same."""
-
+UPPER = (1 + CONFIDENCE) / 2  # Quantile of the upper end of a two-sided interval
+FLAT = 1e-24  # Share of a sum of squares below which its centred part is rounding error
 PERFECT = 1 - 1e-12  # From here on a correlation is perfect to rounding error
 
 
@@ -88,5 +86,5 @@ def check_columns(table: DataFrame, names: Sequence[str], what: str) -> None:
 def check_draws(draws: int, *, usual: int = 2000) -> None:
     """Refuse fewer bootstrap draws than have a spread."""
     if draws < 2:  # noqa: PLR2004 - a spread needs two
-        got = f"got {draws}; use {usual} for results to be published"
-        raise ValueError(f"draws must be 2 or more, {got}")
+        do = f"use {usual} for results to be published"
+        raise ValueError(f"draws must be 2 or more, got {draws}; {do}")

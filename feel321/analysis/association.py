@@ -6,14 +6,14 @@ half the time. Conclusions therefore come from the two-way interval, for which p
 both drawn anew; the narrower one is reported beside it, by name, for comparison with the literature.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from pandas import DataFrame
 
 from feel321.analysis import resampling
 from feel321.analysis.agreement import SMALLEST, find_ceiling
@@ -22,13 +22,9 @@ from feel321.analysis.contrasts.compare import stimulus_means
 from feel321.analysis.table.items import Items, Table, choose_arms, make_items
 from feel321.doors import as_rng, check_name
 from feel321.records import Statistic
+from feel321.types import MetricInfo, Rng
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from pandas import DataFrame
-
-    from feel321.types import MetricInfo, Rng
+SIZES = ("n_participants", "n_recordings", "n_sources", "n_missing")  # What a result tells of items
 
 
 def correlate(  # noqa: PLR0913 - which rows, and how
@@ -142,16 +138,6 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
     atanh r2, the interval is d ± t(.975, R - 1) sqrt(R / (R - 1)) SD(d*), P in the place of R as for
     `correlate`. It is expressed as a difference of correlations by d -> tanh(m + d / 2) - tanh(m - d / 2), m the mean
     of the two z.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> tidy = pd.DataFrame({"participant": list("aaaabbbb"), "recording": list("rrssrrss"),
-    ...     "reducer": ["mag321", "dft321"] * 4, "good": [0.2, 1, 0.4, 1] * 2, "poor": [0.3, 0.1, 0.9, 0.2] * 2,
-    ...     "rating": [20, 70, 35, 90, 25, 80, 30, 75]})
-    >>> round(analysis.compare_metrics(tidy, "good", "poor", draws=100).value, 1)
-    1.6
     """
     if first == second:
         raise ValueError(f"second must be another metric than the first, got {second!r} twice")
@@ -159,16 +145,6 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
     items = make_items(choose_arms(ratings, scale, level), names)
     (found,) = correlate_items(items, names, method, draws=draws, rng=rng)
     return found.compare(*names)
-
-
-def correlate_items(
-    items: Items, metrics: tuple[str, ...], *methods: str, draws: int, rng: Rng
-) -> list[Correlated]:
-    """Correlate with all metrics of the items, by one method or several, in the same draws."""
-    names = [check_name(method, resampling.METHODS, "method") for method in methods]
-    check_draws(draws)
-    found = resampling.draw_methods(items, names, draws=draws, rng=as_rng(rng))
-    return [Correlated(items, metrics, method, drawn) for method, drawn in found.items()]
 
 
 class Correlated(NamedTuple):
@@ -200,7 +176,8 @@ class Correlated(NamedTuple):
             "Association", value=value, low=low, high=high, n_items=items.n_items, ceiling=ceiling,
             disattenuated=value / ceiling if divisible else float("nan"),
             draws=int(np.isfinite(drawn.two_way[0]).sum()),
-            participants_low=narrow_low, participants_high=narrow_high, **_count(items),
+            participants_low=narrow_low, participants_high=narrow_high,
+            **{name: getattr(items, name) for name in SIZES},
             metric=metric, method=self.method, notes=(*notes, *more_notes),
         )  # fmt: skip
 
@@ -221,8 +198,8 @@ class Correlated(NamedTuple):
             "Difference", value=float(drawn.point[0] - drawn.point[1]), low=float(low), high=float(high),
             z_value=float(z_first - z_second), z_low=float(z_range[0]), z_high=float(z_range[1]),
             first_value=float(drawn.point[0]), second_value=float(drawn.point[1]), n_items=items.n_items,
-            **_count(items), draws=int(np.isfinite(differences).sum()), first=first, second=second,
-            method=self.method, notes=tuple(notes),
+            **{name: getattr(items, name) for name in SIZES}, draws=int(np.isfinite(differences).sum()),
+            first=first, second=second, method=self.method, notes=tuple(notes),
         )  # fmt: skip
 
     def _pick(self, *metrics: str) -> tuple[Items, resampling.Draws]:
@@ -231,9 +208,14 @@ class Correlated(NamedTuple):
         return items, resampling.Draws(*(part[places] for part in self.drawn))
 
 
-def _count(items: Items) -> dict[str, int]:
-    names = ("n_participants", "n_recordings", "n_sources", "n_missing")
-    return {name: getattr(items, name) for name in names}
+def correlate_items(
+    items: Items, metrics: tuple[str, ...], *methods: str, draws: int, rng: Rng
+) -> list[Correlated]:
+    """Correlate with all metrics of the items, by one method or several, in the same draws."""
+    names = [check_name(method, resampling.METHODS, "method") for method in methods]
+    check_draws(draws)
+    found = resampling.draw_methods(items, names, draws=draws, rng=as_rng(rng))
+    return [Correlated(items, metrics, method, drawn) for method, drawn in found.items()]
 
 
 def _explain(items: Items, drawn: resampling.Draws, metrics: Sequence[str]) -> Iterator[str]:
@@ -249,39 +231,33 @@ def _explain(items: Items, drawn: resampling.Draws, metrics: Sequence[str]) -> I
         yield "All recordings come from one source: no two-way interval, the spread between sources is unknown."
     elif items.n_sources < items.n_recordings:
         yield f"Two-way intervals draw the {items.n_sources} sources of the {items.n_recordings} recordings."
-    yield from _explain_values(items, drawn, metrics)
-
-
-def _explain_values(items: Items, drawn: resampling.Draws, metrics: Sequence[str]) -> Iterator[str]:
-    """Say why a correlation is not defined, or what it rests on."""
     for row, metric in enumerate(metrics):
-        if drawn.of_recordings.size:
-            yield from _explain_recordings(drawn.of_recordings[row], metric)
-        elif np.isnan(drawn.point[row]):
-            why = "the mean rating is the same for every stimulus"
-            if items.n_items < resampling.FEWEST_ITEMS:
-                why = f"it needs {resampling.FEWEST_ITEMS} test stimuli, got {items.n_items}"
-            elif np.ptp(items.metrics[row]) == 0:
-                why = f"'{metric}' is the same for every stimulus"
-            yield f"No correlation: {why}."
-        if abs(drawn.point[row]) >= PERFECT:
-            yield f"No interval: the correlation with '{metric}' is perfect, and Fisher's z of that infinite."
+        yield from _explain_metric(items, drawn, row=row, metric=metric)
 
 
-def _explain_recordings(correlations: Values, metric: str) -> Iterator[str]:
-    """Say which recordings a correlation within recordings does not rest on, or not as they are."""
-    n, defined = len(correlations), int(np.isfinite(correlations).sum())
-    perfect = int((np.abs(correlations) >= PERFECT).sum())
-    why = f"where it takes three rated stimuli that differ in mean rating and in '{metric}'"
-    if not defined:
-        yield f"No correlation within any of {n} recordings, {why}."
-        return
-    if defined < n:
-        yield f"{n - defined} of {n} recordings are left out {why}."
-    if defined < SMALLEST <= n:
-        yield "One recording only has a correlation within: no two-way interval."
-    if 0 < perfect < n:
-        yield f"In {perfect} of {n} recordings the correlation with '{metric}' is perfect: Fisher's z is held."
+def _explain_metric(
+    items: Items, drawn: resampling.Draws, *, row: int, metric: str
+) -> Iterator[str]:
+    """Say why the correlation with a metric is not defined, or which recordings it does not rest on, or not as is."""
+    within, is_perfect = drawn.of_recordings[row], abs(drawn.point[row]) >= PERFECT
+    n, defined = len(within), int(np.isfinite(within).sum())
+    perfect = int((np.abs(within) >= PERFECT).sum())
+    where = f"where it takes three rated stimuli that differ in mean rating and in '{metric}'"
+    why = "the mean rating is the same for every stimulus"
+    if items.n_items < resampling.FEWEST_ITEMS:
+        why = f"it needs {resampling.FEWEST_ITEMS} test stimuli, got {items.n_items}"
+    elif np.ptp(items.metrics[row]) == 0:
+        why = f"'{metric}' is the same for every stimulus"
+    said = {
+        f"No correlation: {why}.": not n and np.isnan(drawn.point[row]),
+        f"No correlation within any of {n} recordings, {where}.": n > 0 and not defined,
+        f"{n - defined} of {n} recordings are left out {where}.": 0 < defined < n,
+        "One recording only has a correlation within: no two-way interval.": 0 < defined < SMALLEST <= n,
+        f"In {perfect} of {n} recordings the correlation with '{metric}' is perfect: Fisher's z is held.":
+            0 < perfect < n,
+        f"No interval: the correlation with '{metric}' is perfect, and Fisher's z of that infinite.": is_perfect,
+    }  # fmt: skip
+    yield from (note for note, holds in said.items() if holds)
 
 
 def _explain_undrawn(drawn: Values, kind: str) -> Iterator[str]:

@@ -13,11 +13,13 @@ from typing import get_args
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike
+from scipy.optimize import nnls
+from scipy.stats import chi2, norm, rankdata, t
 
 from feel321.analysis.arrays import (
-    CONFIDENCE,
     FLAT,
     PERFECT,
+    UPPER,
     Values,
     check_labels,
     read_array,
@@ -29,22 +31,11 @@ from feel321.records import Statistic
 from feel321.types import Direction
 
 UNIT = (0.0, 1.0)
-
-PARAMETERS = {0: 1, 1: 2, 3: 4}
-"""Order of the mapping -> degrees of freedom that the standard takes off the number of items."""
-
-NORMAL_QUANTILE = 1.96
-"""The standard's rounded quantile; also for an item's interval from 30 votes on."""
-
+PARAMETERS = {0: 1, 1: 2, 3: 4}  # Order -> degrees of freedom that it takes off the items
+NORMAL_QUANTILE = 1.96  # The standard's rounded one; also for an item's interval from 30 votes on
 MANY_VOTES = 30
 FEW_ITEMS = 30  # With fewer items a cubic bends to noise: the first order leads
-
-MOST_FOLDS = 200
-"""Groups that are left out one at a time; of more, several together, or a corpus would take hours."""
-
 FEWEST = 4  # Cases that Fisher's z and Williams' t need at least: both divide by n - 3
-
-UPPER = (1 + CONFIDENCE) / 2
 NAN = float("nan")
 
 Fit = Callable[[Values, Values], Polynomial]  # Fits the mapping from metric to MOS
@@ -64,9 +55,8 @@ def fit_monotone_cubic(
     u = (x - span[0]) / (span[1] - span[0])
     cubic = Polynomial.fit(u, y, 3, domain=UNIT, window=UNIT)
     slope = cubic.deriv()
-    turn = slope.deriv()
-    inner = -turn.coef[0] / turn.coef[1] if turn.coef[1] else 0.0
-    extremes = slope(np.array([*UNIT, inner if 0 < inner < 1 else 0.0]))
+    turns = slope.deriv().trim().roots().real
+    extremes = slope(np.array([*UNIT, *turns[(turns > 0) & (turns < 1)]]))
     rises, falls = bool((extremes >= 0).all()), bool((extremes <= 0).all())
     if not ((rises and sign >= 0) or (falls and sign <= 0)):
         # The best rising or falling cubic among those whose slope is 0 somewhere.
@@ -82,7 +72,6 @@ def _list_candidates(u: Values, y: Values) -> Iterator[Polynomial]:
     For slopes u² or (1 - u)² and u (1 - u), least squares with two non-negative weights; for k (u - t)², the share of
     variance explained is a ratio of polynomials in t, whose stationary points are the roots of a quintic.
     """
-    from scipy.optimize import nnls
 
     def centre(cubic: Polynomial) -> Polynomial:
         return cubic + float(y.mean() - cubic(u).mean())
@@ -168,8 +157,6 @@ def p1401(
     >>> round(result.plcc, 4), round(result.srocc, 4), round(result.rmse, 3), result.outlier_ratio
     (0.9957, 1.0, 2.966, 0.0)
     """
-    from scipy.stats import chi2, rankdata, t
-
     if is_tidy(votes) and isinstance(metric, str):
         items = make_items(votes, [metric])
         votes, metric = items.ratings.T, items.metrics[0]
@@ -219,8 +206,8 @@ def _read_votes(votes: object, metric: object, order: int) -> tuple[Values, Valu
     table = read_array(votes, what="votes", axes=("items", "raters"), missing=True)
     x = read_array(metric, what="metric", axes=("items",))
     if order not in PARAMETERS or isinstance(order, bool | float):
-        got = f"got {order!r}"
-        raise ValueError(f"order must be 3 (monotone cubic), 1 (line) or 0 (no mapping), {got}")
+        must = "3 (monotone cubic), 1 (line) or 0 (no mapping)"
+        raise ValueError(f"order must be {must}, got {order!r}")
     if len(table) != len(x):
         got = f"got {len(x)} values for {len(table)} items"
         raise ValueError(f"metric must have one value per item, {got}")
@@ -229,10 +216,9 @@ def _read_votes(votes: object, metric: object, order: int) -> tuple[Values, Valu
     fewest, poor = max(PARAMETERS[order], 3) + 1, np.flatnonzero(counts < 2)  # noqa: PLR2004
     if poor.size or len(x) < fewest:
         place = f", item {poor[0]} with {counts[poor[0]]} votes" if poor.size else ""
-        raise ValueError(
-            f"votes must be 2 or more per item, of {fewest} items or more for order {order}, got {len(x)} items{place}"
-            "; leave such items out, or lower the order"
-        )
+        must = f"2 or more per item, of {fewest} items or more for order {order}"
+        do = "leave such items out, or lower the order"
+        raise ValueError(f"votes must be {must}, got {len(x)} items{place}; {do}")
     return table, x
 
 
@@ -261,25 +247,20 @@ def _map_out_of_fold(
     numbers, names = read_groups(groups, n=len(x), what="item")
     if len(names) < 2:  # noqa: PLR2004 - one to fit to, one to predict
         raise ValueError(f"groups must be two or more, got the one group {names[0]}; leave it out")
-    mapped, n_beyond, step = np.empty_like(x), 0, -(-len(names) // MOST_FOLDS)
-    for first in range(0, len(names), step):
-        held = (numbers >= first) & (numbers < first + step)
+    mapped, n_beyond = np.empty_like(x), 0
+    for place in range(len(names)):
+        held = numbers == place
         known = np.clip(x[held], x[~held].min(), x[~held].max()) if clipped else x[held]
         mapped[held] = fit(x[~held], mos[~held])(known)
         n_beyond += int((known != x[held]).sum())
-    notes = [f"{len(names)} groups are left out {step} at a time."] if step > 1 else []
-    if n_beyond:
-        where = "beyond the metric's range in the other groups"
-        notes.append(f"{n_beyond} items lie {where}; the cubic is held at its end there.")
-    return mapped, notes
+    where = "beyond the metric's range in the other groups; the cubic is held at its end there"
+    return mapped, [f"{n_beyond} items lie {where}."] if n_beyond else []
 
 
 def _correlate(mos: Values, other: Values) -> float:
     """Correlate; NaN where either is the same for all items."""
-    for values in (mos, other):
-        if ((values - values.mean()) ** 2).sum() <= FLAT * (values**2).sum():
-            return NAN
-    return float(np.clip(np.corrcoef(mos, other)[0, 1], -1, 1))
+    flat = [((one - one.mean()) ** 2).sum() <= FLAT * (one**2).sum() for one in (mos, other)]
+    return NAN if any(flat) else float(np.clip(np.corrcoef(mos, other)[0, 1], -1, 1))
 
 
 def _find_fisher_interval(r: float, n: int, quantile: float) -> tuple[float, float]:
@@ -339,8 +320,6 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
     >>> round(result.zou_low, 3), round(result.zou_high, 3)
     (-0.093, 0.517)
     """
-    from scipy.stats import norm, t
-
     r1, r2, r12 = float(r_jk), float(r_jh), float(r_kh)
     # Of the three variables' correlation matrix; negative where no three variables correlate so.
     determinant = 1 - r1**2 - r2**2 - r12**2 + 2 * r1 * r2 * r12
@@ -365,8 +344,9 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
         q = (r1**2 + r2**2) / 2
         h = (1 - min(1.0, (1 - r12) / (2 * (1 - q))) * q) / (1 - q)
         meng = apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
-        own = [_find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)]
-        (low1, high1), (low2, high2) = own
+        (low1, high1), (low2, high2) = (
+            _find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)
+        )
         c = (r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3
         c /= (1 - r1**2) * (1 - r2**2)
         # max: rounding may push a vanishing sum of squares below 0
@@ -428,8 +408,6 @@ def repeated_measures_correlation(
     >>> round(result.r, 3), result.df, round(result.p, 4)
     (0.987, 3, 0.0018)
     """
-    from scipy.stats import norm, t
-
     if is_tidy(x) and isinstance(y, str):
         rows, _ = open_tests(x, (y,))
         x, y, participant = rows[y].to_numpy(), rows["rating"].to_numpy(), rows["participant"]

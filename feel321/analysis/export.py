@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from feel321.analysis.primary.model import PENALISED, Primary, fit_primary, write_fit
+from feel321.analysis.primary.model import Primary, fit_primary
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, WHO
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.report.section import make_slug, thin_parts
@@ -22,10 +22,31 @@ if TYPE_CHECKING:
 
     from feel321.types import PathLike, Rng
 
-JUDGEMENTS, SCRIPT, SLOPES = "judgements.csv", "model.R", "slopes.csv"
+JUDGEMENTS, SCRIPT = "judgements.csv", "model.R"
 MISSING = "NA"
+# Begins the script of every export, by which an earlier one is known.
 FIRST = "# Primary models of feel321 in R: run in this folder, Rscript model.R; it needs lme4 and lmerTest.\n"
-"""Begins the script of every export, by which an earlier one is known."""
+
+PENALISED = """\
+# Few reducers: their spread would often be estimated as 0 when it is only unknown. As feel321 does, -2 log(SD of the
+# reducers) is added to the REML criterion (Chung et al. 2013, doi:10.1007/s11336-013-9328-2), which lme4 cannot.
+lmer_penalised <- function(formula, data) {
+  parts <- lFormula(formula, data = data, REML = TRUE)      # the model's matrices
+  criterion <- do.call(mkLmerDevfun, parts)                 # REML criterion by relative spreads (theta)
+  state <- environment(criterion)
+  place <- which(names(parts$reTrms$cnms) == "reducer")     # one theta per term: effects are uncorrelated
+  objective <- function(theta) {
+    value <- criterion(theta)
+    value - log(state$resp$wrss() + state$pp$sqrL(1)) - 2 * log(theta[place])
+  }
+  lower <- parts$reTrms$lower
+  lower[place] <- 1e-6
+  best <- minqa::bobyqa(parts$reTrms$theta, objective, lower = lower, control = list(rhoend = 1e-8, maxfun = 1e5))
+  value <- criterion(best$par)
+  found <- list(par = best$par, fval = value, feval = best$feval, conv = 0)
+  mkMerMod(state, found, parts$reTrms, parts$fr)
+}
+"""
 
 
 def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
@@ -70,17 +91,21 @@ def export_r(table: Table, folder: PathLike, *, rng: Rng = 0) -> Path:
 def _write_model(model: Primary, place: Path) -> None:
     """Write the data of a primary model, its slopes, and R code that fits the same model with lme4 and lmerTest."""
     groups = [name for name in (WHO, SCENE, ITEM, REDUCER, SOURCE) if name in model.model_frame]
+    # lme4's defaults stop at 1e-4 or so of a standard error; these limits take a moment longer.
+    control = 'lmerControl("bobyqa", optCtrl = list(rhoend = 1e-8, maxfun = 1e5))'
+    fit = f"lmer({model.formula}, data = model, REML = TRUE, control = {control})"
     lines = [
         "library(lmerTest)",
         'model <- read.csv("model.csv", check.names = FALSE)',
         *(f"model${name} <- factor(model${name})" for name in groups),
         *([PENALISED.rstrip()] if model.penalty else []),
         f"# feel321 believes at most {model.fit.uncertainty.most_df:g} degrees of freedom.",
-        f"fit <- {write_fit(model.formula, 'model', penalty=model.penalty)}",
+        f"fit <- {f'lmer_penalised({model.formula}, model)' if model.penalty else fit}",
         "print(summary(fit))",
         "",
     ]
     make_folder(place)
     write_text(place / SCRIPT, "\n".join(lines))
-    for name, frame in {"model.csv": model.model_frame, SLOPES: model.slopes.reset_index()}.items():
+    frames = {"model.csv": model.model_frame, "slopes.csv": model.slopes.reset_index()}
+    for name, frame in frames.items():
         write_text(place / name, write_flags(frame).to_csv(index=False, na_rep=MISSING))

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = None) -> Axes:
-    """Plot mean ratings of test stimuli against a metric, a colour per reducer.
+    """Plot mean ratings of test stimuli, with 95 % t intervals over participants, against a metric.
 
     Parameters
     ----------
@@ -34,11 +34,6 @@ def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = N
         Column to plot against.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same, with 95 % t intervals over participants as vertical lines.
     """
     rows, _ = open_tests(ratings, [metric])
     values = rows.drop_duplicates("stimulus_id").set_index("stimulus_id")[[metric]]
@@ -51,7 +46,7 @@ def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = N
 
 
 def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
-    """Plot the ratings of each reducer, reference and anchor: mean, interval, and every participant.
+    """Plot mean, interval and participants of each reducer, reference and anchor, the highest on top.
 
     Parameters
     ----------
@@ -59,11 +54,6 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
         Ratings; of several scales and levels the means alone, a mark each.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: a row per reducer, the one rated highest on top.
     """
     profile, ax = profile_reducers(ratings), _find_axes(ax)
     names = order_reducers(profile["reducer"])
@@ -82,7 +72,7 @@ def plot_profile(ratings: Table | DataFrame, *, ax: Axes | None = None) -> Axes:
 
 
 def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = None) -> Axes:
-    """Plot the slopes of one or several primary models with their 95 % intervals.
+    """Plot the slopes of one or several primary models, per +0.1 of a metric, with their 95 % intervals.
 
     Parameters
     ----------
@@ -90,11 +80,6 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
         What `fit_primary` or `fit_attributes` returned.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: change in rating per +0.1 of a metric, a heading per model and a row per slope.
     """
     import pandas as pd
 
@@ -116,7 +101,7 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
 
 
 def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -> Axes:
-    """Plot correlations with their 95 % two-way intervals, and the noise ceiling of each.
+    """Plot correlations with their 95 % two-way intervals, and the noise ceiling of each as a vertical line.
 
     Parameters
     ----------
@@ -124,11 +109,6 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
         What `correlate` returned, or a table of such: a row each.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: a row per correlation, the first on top; vertical lines are ceilings.
     """
     import pandas as pd
 
@@ -146,7 +126,7 @@ def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -
 
 
 def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Axes:
-    """Plot a recording's axes, or a reduced signal, over time.
+    """Plot a recording's axes, or a reduced signal, over time, in seconds and m/s².
 
     Parameters
     ----------
@@ -154,11 +134,6 @@ def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Ax
         Samples with their rate.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same, in seconds and m/s².
 
     Examples
     --------
@@ -181,7 +156,7 @@ def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Ax
 def plot_spectrum(
     *signals: Recording | Reduced, window_s: float = 0.25, ax: Axes | None = None
 ) -> Axes:
-    """Plot power spectral densities, summed over axes, to compare signals with their recording.
+    """Plot power spectral densities, summed over axes, from 10 Hz on, to compare signals with their recording.
 
     Parameters
     ----------
@@ -191,11 +166,6 @@ def plot_spectrum(
         Length of Welch's windows, in s.
     ax : Axes, optional
         Where to plot; a new figure if left out.
-
-    Returns
-    -------
-    Axes
-        The same: both axes logarithmic, from 10 Hz on.
     """
     from feel321.stimuli.spectra import psd
 

@@ -11,40 +11,34 @@ low spread is meant to be good, but a reducer that matches nothing has nothing t
 reducers were rated, spread and mean rise together, and alone the spread goes with ratings the wrong way.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
-import numpy as np
+from pandas import DataFrame, Series
+from scipy.stats import t as student
 
 from feel321.analysis import space, words
 from feel321.analysis.association import correlate
+from feel321.analysis.choices import EVERY, compare_with_original
 from feel321.analysis.contrasts.compare import fit_reducers
-from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.model import fit_primary, fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells
 from feel321.analysis.primary.sensitivity import FEWEST_REDUCERS, measure_excess
-from feel321.analysis.table.items import recast_pairs, split_tests
+from feel321.analysis.resampling import Choices
+from feel321.analysis.table.items import Table, recast_pairs, split_tests
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
 from feel321.analysis.words import INTERVALS
 from feel321.doors import check_name
 from feel321.names import MEASURES, PaperClaim
 
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
-
-    from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Table
-
+# Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number.
 AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimable"
-"""Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number."""
-
+LIMIT = 0.05  # Where permutations cannot give a p below, nothing is estimated
+MEAN, SD = "_rotation_mean", "_rotation_sd"
 USUAL_LEVEL = "as_is"  # The level that a claim is about where it names none and there are several
 Ends = tuple[float, float, float]  # A value and the ends of its interval
 
@@ -116,13 +110,17 @@ def answer_claims(table: Table, paper: Paper, choices: Choices) -> Iterator[Pape
         except ValueError as error:
             yield PaperAnswer(claim, NOT_ESTIMABLE, f"{str(error).rstrip('.')}.")
             continue
-        without = None
+        without, rows = None, own.rows
         # Without the exceptions that the paper names, where they were rated and enough is left.
-        if set(claim.exceptions) & set(own.rows["reducer"]):
+        if set(claim.exceptions) & set(rows["reducer"]):
+            names, stimuli = claim.exceptions, own.stimuli
+            rows = rows[~(rows["reducer"].isin(names) | rows["reference_reducer"].isin(names))]
+            kept = None if stimuli is None else stimuli[~stimuli["reducer"].isin(names)]
             with suppress(ValueError):
-                without = measure(leave_out(own, claim.exceptions), claim, choices)
-        verdict = judge(claim, found)
-        yield PaperAnswer(claim, verdict, _describe(claim, found, without), found, without)
+                rest = replace(own, rows=rows.reset_index(drop=True), stimuli=kept)
+                without = measure(rest, claim, choices)
+        sentence = _describe(claim, found, without)
+        yield PaperAnswer(claim, judge(claim, found), sentence, found, without)
 
 
 def narrow(table: Table, claim: PaperClaim) -> Table:
@@ -144,17 +142,6 @@ def narrow(table: Table, claim: PaperClaim) -> Table:
         raise ValueError(f"nothing was rated on {wanted}; there are {known}")
     chosen = next((one for one in fitting if one[1] == USUAL_LEVEL), fitting[0])
     return table.select(chosen[0], level=chosen[1])
-
-
-def leave_out(table: Table, reducers: Iterable[str]) -> Table:
-    """Leave out what was made with some reducers."""
-    names = list(reducers)
-    rows, stimuli = table.rows, table.stimuli
-    out = rows["reducer"].isin(names) | rows["reference_reducer"].isin(names)
-    kept = rows[~out].reset_index(drop=True)
-    if stimuli is not None:
-        stimuli = stimuli[~stimuli["reducer"].isin(names)]
-    return replace(table, rows=kept, stimuli=stimuli)
 
 
 def judge(claim: PaperClaim, found: ClaimValue) -> str:
@@ -199,12 +186,12 @@ def _describe(claim: PaperClaim, found: ClaimValue, without: ClaimValue | None) 
         parts.append(f"the paper {words.format_number(value, kind=found.kind)}")
     elif math.isfinite(low + high):
         parts.append(f"the paper {words.format_interval(low, high, kind=found.kind)}")
-    upward = claim.expect == "highest"
-    if (upward or claim.expect == "lowest") and found.beside:
+    if claim.expect in {"highest", "lowest"} and found.beside:
+        upward = claim.expect == "highest"
         parts.append(describe_nearest(found.beside, upward=upward, kind=found.kind))
     if without is not None:
         parts.append(f"without {words.join_words(claim.exceptions)} {without.describe()}")
-    return "; ".join(parts) + "." + (f" {found.note}" if found.note else "")
+    return f"{'; '.join(parts)}. {found.note}".rstrip()
 
 
 def describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> str:
@@ -214,16 +201,11 @@ def describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> 
     way = 1 if ends[0] >= 0 else -1
     low, high = sorted(way * end for end in ends[1:])
     value, interval = words.format_estimate(way * ends[0], low, high, kind=kind)
-    told = f" ({interval})" if interval != words.ABSENT else ""
     other = f"that of {words.format_name(name)}"
-    if not told and value == words.format_number(0.0, kind=kind):
+    if interval == words.ABSENT and value == words.format_number(0.0, kind=kind):
         return f"the same as {other}"
+    told = f" ({interval})" if interval != words.ABSENT else ""
     return f"{value} {'higher' if way > 0 else 'lower'} than {other}{told}"
-
-
-OVER_RECORDINGS = "95 % t interval over recordings"
-LIMIT = 0.05  # Where permutations cannot give a p below, nothing is estimated
-MEAN, SD = "_rotation_mean", "_rotation_sd"
 
 
 def require_option(claim: PaperClaim, name: str) -> str:
@@ -257,18 +239,16 @@ def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
         sources = table.stimuli.drop_duplicates("recording").set_index("recording")["source"]
         found = found.groupby(sources.astype(str)).mean()
     check_name(reducer, sorted(map(str, found)), "reducer")
-    own = found[reducer]
-    beside = {name: _average(own - found[name]) for name in choose_others(claim, found, reducer)}
+    own, (others, note) = found[reducer], choose_others(claim, found, reducer)
     return ClaimValue(
-        *_average(own), n=len(own), beside=beside, interval=OVER_RECORDINGS if len(own) > 1 else "",
-        method=f"{metric} of {reducer}, mean over recordings", note=note_lacking(claim, found),
+        *_average(own), n=len(own), beside={name: _average(own - found[name]) for name in others},
+        interval="95 % t interval over recordings" if len(own) > 1 else "",
+        method=f"{metric} of {reducer}, mean over recordings", note=note,
     )  # fmt: skip
 
 
-def _average(values: Series[float]) -> Ends:
+def _average(values: "Series[float]") -> Ends:
     """Average with a t interval."""
-    from scipy.stats import t as student
-
     known = values.dropna()
     mean, n = float(known.mean()), len(known)
     if n < 2:  # noqa: PLR2004 - a spread needs two
@@ -286,14 +266,12 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
     if len(rated) < 2:  # noqa: PLR2004 - nothing to compare with
         raise ValueError("one reducer alone was rated")
     fit, terms, n = fit_reducers(rows, rated)
-    mean = contrast(fit, {terms[reducer]: 1})
-    beside = {}
-    for name in choose_others(claim, rated, reducer):
-        gap = contrast(fit, {terms[reducer]: 1, terms[name]: -1})
-        beside[name] = (gap.estimate, gap.low, gap.high)
+    mean, (others, note) = contrast(fit, {terms[reducer]: 1}), choose_others(claim, rated, reducer)
+    gaps = {name: contrast(fit, {terms[reducer]: 1, terms[name]: -1}) for name in others}
+    beside = {name: (gap.estimate, gap.low, gap.high) for name, gap in gaps.items()}
     return ClaimValue(
         mean.estimate, mean.low, mean.high, "rating", "points", n, "mixed model with reducers, mean rating",
-        INTERVALS["satterthwaite"], beside, note_lacking(claim, rated),
+        INTERVALS["satterthwaite"], beside, note,
     )  # fmt: skip
 
 
@@ -310,20 +288,14 @@ def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVal
     )  # fmt: skip
 
 
-def choose_others(claim: PaperClaim, names: Iterable[object], own: str) -> list[str]:
-    """Choose what a reducer is compared with: those of the option `among`, or all others."""
-    known, among = [str(name) for name in names if name != own], claim.options.get("among")
-    chosen = [name for name in known if among is None or name in among]
+def choose_others(claim: PaperClaim, names: Iterable[object], own: str) -> tuple[list[str], str]:
+    """Choose what a reducer is compared with: those of the option `among`, or all others; note which are missing."""
+    known, among = list(map(str, names)), claim.options.get("among")
+    chosen = [name for name in known if name != own and (among is None or name in among)]
     if not chosen and claim.expect in {"highest", "lowest"}:
         raise ValueError(f"none of the reducers that {own} is to be compared with is there")
-    return chosen
-
-
-def note_lacking(claim: PaperClaim, names: Iterable[object]) -> str:
-    """Name the reducers of the option `among` that a study lacks."""
-    known = {str(name) for name in names}
-    lacking = [name for name in claim.options.get("among", ()) if name not in known]
-    return f"Not compared, because missing here: {', '.join(lacking)}." if lacking else ""
+    lacking = ", ".join(name for name in among or () if name not in known)
+    return chosen, f"Not compared, because missing here: {lacking}." if lacking else ""
 
 
 def measure_told_apart(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
@@ -366,19 +338,19 @@ def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> Clai
 
 def explain_spread(rows: DataFrame, metric: str) -> str:
     """Say why a spread may go with ratings the wrong way, where it rises with its mean; else nothing."""
+    from feel321.analysis.page import render_words
+
     mean = metric.removesuffix(SD) + MEAN
     if not (metric in ROTATIONS and metric.endswith(SD) and {metric, mean} <= set(rows)):
         return ""
-    from feel321.analysis.page import render_words
-
     items = rows.loc[rows["role"] == "test", ["recording", "reducer", mean, metric]]
     items = items.drop_duplicates()
     own = items[[mean, metric]].astype(float)
     within = own - own.groupby(items["recording"].astype(str)).transform("mean")
-    sizes = within.to_numpy().std(axis=0)
-    if len(items) < 3 or not (sizes > 1e-9).all():  # noqa: PLR2004 - two points are always on a line
-        return ""
-    together = float(np.corrcoef(within.to_numpy().T)[0, 1])
+    varies = bool((within.to_numpy().std(axis=0) > 1e-9).all())  # noqa: PLR2004 - rounding
+    # Two points are always on a line.
+    enough = varies and len(items) > 2  # noqa: PLR2004
+    together = within[mean].corr(within[metric]) if enough else 0.0
     if not together > 0:
         return ""
     means = own.groupby(items["reducer"].astype(str)).mean()
@@ -408,8 +380,6 @@ def measure_correlation(table: Table, claim: PaperClaim, choices: Choices) -> Cl
 
 def measure_rating_excess(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
     """Estimate how much higher a reducer is rated than metrics predict from all others; options: reducer, metrics."""
-    from scipy.stats import t as student
-
     reducer = require_option(claim, "reducer")
     metrics = claim.options.get("metrics", table.metrics)
     cells = make_cells(table.rows, [metrics] if isinstance(metrics, str) else list(metrics))

@@ -5,37 +5,24 @@ means of every draw are then one matrix product. Recordings are drawn likewise, 
 because stimuli of one recording resemble each other.
 """
 
-from __future__ import annotations
-
 import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from feel321.analysis.arrays import CONFIDENCE, FLAT, PERFECT, Values, check_draws
+from feel321.analysis.arrays import FLAT, PERFECT, UPPER, Values, check_draws
+from feel321.analysis.table.items import Items
 from feel321.analysis.words import name_path
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from feel321.analysis.table.items import Items
-
-
-BLOCK = 4_000_000
-"""Numbers that an array of draws may hold: 32 MB, so that a million rows need no gigabytes."""
-
+BLOCK = 4_000_000  # Numbers that an array of draws may hold: 32 MB
 STILL = 1e-12  # Spread of draws up to which they are all the same but for rounding error
 FEWEST_ITEMS = 3  # Two points always lie on a line
-
-TIED = 40
-"""Binary digits of a mean rating that count for its rank; the others, below 1e-12 of it, are rounding error."""
-
-MOST_UNDEFINED = 0.1
-"""Share of draws that may be undefined; with more, those left over are not a fair sample of what could be."""
+TIED = 40  # Binary digits of a mean that count for its rank: what is below 1e-12 is rounding
+MOST_UNDEFINED = 0.1  # Share of draws that may be undefined; with more, the rest is no fair sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +82,9 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
 
     All arrays: (..., n_items).
     """
-    x, y, weights = np.broadcast_arrays(_scale_down(x), _scale_down(y), weights)
+    # Divided by a power of two, which is exact, so that no square overflows.
+    x, y = (np.ldexp(one, -np.frexp(np.abs(one).max(axis=-1, keepdims=True))[1]) for one in (x, y))
+    x, y, weights = np.broadcast_arrays(x, y, weights)
     total = weights.sum(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         from_mean_x = x - (weights * x).sum(axis=-1, keepdims=True) / total
@@ -105,12 +94,6 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
         flat_y = yy <= FLAT * (weights * y**2).sum(axis=-1)
         r = (weights * from_mean_x * from_mean_y).sum(axis=-1) / (np.sqrt(xx) * np.sqrt(yy))
     return np.where(flat_x | flat_y, np.nan, np.clip(r, -1, 1))
-
-
-def _scale_down(values: Values) -> Values:
-    """Divide by a power of two, which is exact, so that no square overflows."""
-    scaled: Values = np.ldexp(values, -np.frexp(np.abs(values).max(axis=-1, keepdims=True))[1])
-    return scaled
 
 
 def weighted_spearman(x: Values, y: Values, *, weights: Values) -> Values:
@@ -171,7 +154,7 @@ class Averages(NamedTuple):
     rated: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, items: Items, participants: Values) -> Averages:
+    def of(cls, items: Items, participants: Values) -> "Averages":
         """Average each item's ratings over the participants drawn, (draws, n_participants)."""
         seen = np.isfinite(items.ratings)
         votes = participants @ seen.astype(np.float64)
@@ -257,7 +240,7 @@ def bootstrap_margin(drawn: Values, n_units: int) -> float:
     too_many = len(drawn) - len(defined) > MOST_UNDEFINED * len(drawn)
     if too_many or min(n_units, len(defined)) < 2 or np.ptp(defined) <= STILL:  # noqa: PLR2004 - a spread needs two
         return float("nan")
-    quantile = float(t.ppf((1 + CONFIDENCE) / 2, n_units - 1))
+    quantile = float(t.ppf(UPPER, n_units - 1))
     return quantile * float(np.sqrt(n_units / (n_units - 1)) * defined.std(ddof=1))
 
 

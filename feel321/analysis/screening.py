@@ -3,28 +3,22 @@
 Nothing here removes anybody: a flag is a reason to look, and a deletion needs a documented error. Rules without a
 standard as their source are extensions, with limits by convention.
 
-References
-----------
-.. [1] J. W. Tukey, Exploratory Data Analysis, 1977: hinges and fences.
-.. [2] R. Pfister et al., Good things peak in pairs: a note on the bimodality coefficient, Frontiers in Psychology 4,
-   2013, 700. doi:10.3389/fpsyg.2013.00700
-.. [3] Recommendation ITU-R BS.1534-3 (2015), Method for the subjective assessment of intermediate quality level of
-   audio systems, on post-screening of assessors.
+Sources: Tukey, Exploratory Data Analysis (1977), of hinges and fences; Pfister et al. (2013), doi
+10.3389/fpsyg.2013.00700, of the bimodality coefficient; Recommendation ITU-R BS.1534-3 (2015), on post-screening.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
+from pandas import DataFrame, Series
 
-from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
-from feel321.analysis.arrays import FLAT, check_columns, read_numbers
-from feel321.analysis.consistency import FLOOR, gauge_raters
+from feel321.analysis.agreement import FLOOR, SMALLEST, gauge_raters, intraclass, krippendorff_alpha
+from feel321.analysis.arrays import FLAT, Values, check_columns, read_numbers
 from feel321.analysis.resampling import weighted_pearson
 from feel321.analysis.table.items import (
     STIMULUS,
@@ -40,34 +34,20 @@ from feel321.protocols.tasks import PROTOCOLS
 from feel321.records import Statistic
 from feel321.types import Rng
 
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-    from pandas import DataFrame, Series
-
-    from feel321.analysis.arrays import Values
-
 FEWEST_JUDGEMENTS = 8  # With fewer judgements, or pairs of them, a habit cannot be told from chance
 REACH = 1.5  # Fences stand this many hinge spreads outside the hinges
 FEWEST_RATERS = 5  # With fewer values no fence can leave one out, or a shape be seen
-UNIMODAL = 5 / 9
-"""Multimodality coefficient of evenly spread values; above it, ratings may have more than one peak."""
-
+UNIMODAL = 5 / 9  # Multimodality of evenly spread values; above it there may be several peaks
 ALL_BUT = 0.95  # Share of ratings at one step from which on nobody is taken to have used the scale
 ONE_SIDED = 1.6448536269514722  # 95 % point of the normal distribution
 FASTEST_S = 0.5  # Nobody feels, weighs and answers in less
-EXCELLENT, MIDDLE = 90.0, 50.0
-"""The hidden reference is to be rated at least 90, the mid anchor at most; the low anchor, in the extension, 50."""
-
-MOST_RATERS = 0.25
-"""If a larger share of raters puts the mid anchor above `EXCELLENT`, the excerpt was hardly degraded by it."""
-
-MOST_STEPS, FULL = 11, 5
-"""Different ratings up to which a scale may be one of few steps; ratings per step from which a slider would show."""
-
+EXCELLENT = 90.0  # The hidden reference is to be rated so at least, the mid anchor at most
+MIDDLE = 50.0  # The low anchor at most, in the extension
+MOST_RATERS = 0.25  # If more of the raters put the mid anchor above 90, it was hardly degraded
+MOST_STEPS = 11  # Different ratings up to which a scale may be one of few steps
+FULL = 5  # Ratings per step from which on a slider would show
 SAME_POINTS = 2.0  # Ratings of a slider that lie no farther apart than this are at the same place
-ANCHORS = ("mid", "low")
-"""Kinds of anchor, known by the name of their reducer or stimulus containing the word."""
-
+ANCHORS = ("mid", "low")  # Kinds of anchor: the reducer or stimulus has the word in its name
 SIGHTED = ("mushra",)
 """Protocols that show the reference beside the stimuli. Limits near the end of the scale presuppose that: somebody who
 rates realism by itself, or a similarity from memory, has no reason to put the original at 90 or above."""
@@ -75,25 +55,23 @@ rates realism by itself, or a similarity from memory, has no reason to put the o
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
 
 
-def tukey_hinges(values: ArrayLike) -> tuple[float, float]:
-    """Medians of the lower and the upper half; for odd n the median belongs to both."""
+def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]:
+    """Find where outlying begins: 1.5 hinge spreads, or steps of a coarse scale, outside the hinges.
+
+    Hinges are the medians of the lower and the upper half; for odd n the median belongs to both.
+    """
     ordered = np.sort(read_numbers(values, what="values").ravel())
     if not len(ordered) or not np.isfinite(ordered).all():
         got = f"got {len(ordered)}, not all finite"
         raise ValueError(f"values must be one or more finite numbers, {got}")
     half = (len(ordered) + 1) // 2
-    return float(np.median(ordered[:half])), float(np.median(ordered[-half:]))
-
-
-def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]:
-    """Find where outlying begins: 1.5 hinge spreads, or steps of a coarse scale, outside the hinges."""
-    low, high = tukey_hinges(values)
+    low, high = float(np.median(ordered[:half])), float(np.median(ordered[-half:]))
     reach = REACH * max(high - low, step)
     return low - reach, high + reach
 
 
 def multimodality(values: ArrayLike) -> float:
-    """Measure whether values may have more than one peak: above 5/9 [2]_; NaN for fewer than 4, and constants.
+    """Measure whether values may have more than one peak: above 5/9; NaN for fewer than 4, and constants.
 
     (g² + 1) / (k + 3 (n - 1)² / ((n - 2)(n - 3))), g the skewness and k the excess kurtosis, corrected for n.
     With fewer than some 20 raters it scatters widely.
@@ -237,9 +215,13 @@ def _compare(
     return pd.DataFrame({**columns, "limit": limits, "hit": hit}, index=share.index)
 
 
-def _count_bad(rows: DataFrame, bad: Series, *, limit: float) -> DataFrame:
-    """Count how often each participant did what a rule forbids, and compare the share with its limit."""
-    count, n = _count(rows[bad]), _count(rows)
+def _count_beyond(
+    rows: DataFrame, limit: float, *, column: str, end: float, below: bool = False
+) -> DataFrame:
+    """Count how often a column of each participant is beyond an end, and compare the share with its limit."""
+    known = rows[rows[column].notna()]
+    bad = known[column] < end if below else known[column] > end
+    count, n = _count(known[bad]), _count(known)
     return _compare(count, n, count / n.where(n > 0), limit=limit)
 
 
@@ -251,13 +233,7 @@ def _rate_anchor(rows: DataFrame, limit: float, *, kind: str, end: float) -> Dat
         means = mid.groupby(["excerpt", "participant"], observed=True)["rating"].mean()
         shares = (means > EXCELLENT).groupby("excerpt").mean()
         judged = judged[~judged["excerpt"].isin(shares.index[shares > MOST_RATERS])]
-    bad = judged["rating"] < end if kind == "reference" else judged["rating"] > end
-    return _count_bad(judged, bad, limit=limit)
-
-
-def _too_fast(rows: DataFrame, limit: float) -> DataFrame:
-    timed = rows[rows["time"].notna()]
-    return _count_bad(timed, timed["time"] < FASTEST_S, limit=limit)
+    return _count_beyond(judged, limit, column="rating", end=end, below=kind == "reference")
 
 
 def _outliers(rows: DataFrame, limit: float) -> DataFrame:
@@ -327,12 +303,6 @@ def _repeat_sd(rows: DataFrame, limit: float) -> DataFrame:
     return _compare(n, n, share.where(n >= FEWEST_JUDGEMENTS), limit=widened)
 
 
-def _check_expertise(gauge: DataFrame, limit: float) -> DataFrame:
-    """Find raters who are no better than their own shuffled ratings."""
-    defined = gauge[gauge["value"].notna()]
-    return _count_bad(defined, defined["p"] > 1 - FLOOR, limit=limit)
-
-
 class Rule(NamedTuple):
     """A rule about raters; find: prepared ratings, or the gauge for expertise, and limit -> table by participant."""
 
@@ -345,9 +315,7 @@ class Rule(NamedTuple):
 
 
 STANDARD, EXTENSION = "ITU-R BS.1534-3", "extension"
-EXPERTISE = "expertise"
-"""The rule that needs a source of randomness: more than half of its measures are no better than chance."""
-
+EXPERTISE = "expertise"  # The rule that needs a source of randomness
 RULES: Mapping[str, Rule] = MappingProxyType({
     "hidden_reference": Rule(
         "hidden reference below 90 on more than {limit:.0%} of items", STANDARD, 0.15,
@@ -380,7 +348,7 @@ RULES: Mapping[str, Rule] = MappingProxyType({
     ),
     "too_fast": Rule(
         "more than {limit:.0%} of answers within 0.5 s",
-        EXTENSION, 0.15, _too_fast, "column 'response_time_s'",
+        EXTENSION, 0.15, partial(_count_beyond, column="time", end=FASTEST_S, below=True), "column 'response_time_s'",
     ),
     "outliers": Rule(
         "outside Tukey's fences on more than {limit:.0%} of test stimuli",
@@ -388,7 +356,8 @@ RULES: Mapping[str, Rule] = MappingProxyType({
     ),
     EXPERTISE: Rule(
         "more than {limit:.0%} of discrimination, reliability and agreement no better than shuffled ratings",
-        "in the manner of Report ITU-R BS.2300", 0.5, _check_expertise, "test stimuli rated twice or by others too",
+        "in the manner of Report ITU-R BS.2300", 0.5, partial(_count_beyond, column="p", end=1 - FLOOR),
+        "test stimuli rated twice or by others too",
     ),
 })  # fmt: skip
 """Name -> rule, in the order of reports."""
@@ -443,11 +412,6 @@ def screen_raters(
         ``stimuli``, per test stimulus: n raters, Tukey fences, outliers, multimodality coefficient, multimodal (above
         5/9). ``gauge``, of the rule ``expertise``: participant, measure, value, floor and p of its permutation null.
         ``panel``: reliability per scale, of everyone and without those flagged. ``limits`` asked for; ``rules notes``.
-
-    Raises
-    ------
-    ValueError
-        If the table or a rule is not as it must be.
 
     Notes
     -----

@@ -7,13 +7,15 @@ their direction. Attributes of stimuli are compared within recordings: with the 
 turned onto the map of all, what differs between recordings has no part.
 """
 
-from __future__ import annotations
-
 import math
 from itertools import permutations as reorder
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from pandas import DataFrame
+from scipy.stats import chi2
 
 from feel321.analysis.arrays import CONFIDENCE, FLAT, Values, read_array, read_numbers
 from feel321.analysis.resampling import draw_counts
@@ -23,19 +25,12 @@ from feel321.analysis.table.schema import PAIRED
 from feel321.doors import as_rng
 from feel321.names import METRIC_INFO, REDUCER_NAMES
 from feel321.records import Statistic
-
-if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-    from pandas import DataFrame
-
-    from feel321.types import Rng
+from feel321.types import Rng
 
 FEWEST = 3  # Stimuli that make a shape
 CUBE = 3  # Axes of a stack of matrices
 PLANE = 2  # Dimensions of a map on paper, and the participants that a spread needs
-STARTS = 8
-"""Random starts beside the classical one; SMACOF finds the nearest local minimum, not the deepest."""
-
+STARTS = 8  # Random starts beside the classical one: SMACOF finds the nearest local minimum
 ROUGH, FINE = (300, 1e-6), (1000, 1e-9)  # Steps at most, and the change of stress at which to stop
 
 
@@ -86,8 +81,6 @@ def _draw_ellipses(
     participants. Fitting to the group removes some of the movement: with few stimuli ellipses are somewhat small. Pairs
     that nobody in a draw has rated keep the group's mean.
     """
-    from scipy.stats import chi2
-
     stack = read_numbers(dissimilarities, what="dissimilarities")
     if stack.ndim == PLANE or len(stack) < PLANE:
         raise ValueError("ellipses need dissimilarities of two participants or more, got one")
@@ -120,8 +113,6 @@ def stress_by_dimension(dissimilarities: ArrayLike, *, rng: Rng = 0) -> tuple[fl
 
 def gather_dissimilarities(ratings: Table | DataFrame) -> tuple[tuple[str, ...], Values]:
     """Average each participant's ratings of every pair of reducers, over recordings and both orders."""
-    import pandas as pd
-
     rows = open_ratings(ratings)
     rows = rows[(rows["scale"] == PAIRED) & (rows["reference_reducer"] != "")]
     rows = rows[rows["reducer"] != rows["reference_reducer"]]
@@ -194,7 +185,15 @@ def align_spaces(
     """
     if permutations < 1:
         raise ValueError(f"permutations must be 1 or more, got {permutations}; use 2000")
-    one, other = _check_positions(positions, "positions"), _check_positions(reference, "reference")
+    one, other = (
+        read_array(given, what=name, axes=("stimuli", "dimensions"))
+        for name, given in (("positions", positions), ("reference", reference))
+    )
+    for name, place in (("positions", one), ("reference", other)):
+        if len(place) < FEWEST:
+            raise ValueError(f"{name} must be of 3 stimuli or more, got shape {place.shape}")
+        if ((place - place.mean(axis=0)) ** 2).sum() <= FLAT * (place**2).sum():
+            raise ValueError(f"{name} must have a shape, got all stimuli in one place")
     if len(one) != len(other):
         got = f"got {len(other)} stimuli"
         raise ValueError(f"reference must be of the same {len(one)} stimuli, {got}")
@@ -208,15 +207,6 @@ def align_spaces(
         "Alignment", disparity=disparity, correlation=float(np.sqrt(1 - disparity)), p=p,
         aligned=_align(one, other), permutations=permutations,
     )  # fmt: skip
-
-
-def _check_positions(given: ArrayLike, name: str) -> Values:
-    place = read_array(given, what=name, axes=("stimuli", "dimensions"))
-    if len(place) < FEWEST:
-        raise ValueError(f"{name} must be of 3 stimuli or more, got shape {place.shape}")
-    if ((place - place.mean(axis=0)) ** 2).sum() <= FLAT * (place**2).sum():
-        raise ValueError(f"{name} must have a shape, got all stimuli in one place")
-    return place
 
 
 def _normalise(place: Values) -> Values:

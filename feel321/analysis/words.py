@@ -54,8 +54,7 @@ INTERVALS: Mapping[str, str] = MappingProxyType({
 })
 """Kinds of intervals, and how they are described."""
 
-CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"
-"""Whether a result was declared before the ratings were seen, or not."""
+CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"  # Declared before the ratings, or not
 
 
 @contextmanager

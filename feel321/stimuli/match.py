@@ -467,10 +467,10 @@ def axis_correlations(samples: Samples, reduced: Samples) -> Samples:
     """Absolute correlation at zero lag of reduced signals, (..., n), with each axis: (..., 3), NaN for silent axes."""
     together = np.einsum("...in,...n->...i", samples, reduced)
     energies = np.einsum("...in,...in->...i", samples, samples)
-    return _correlate(together, energies, np.einsum("...n,...n->...", reduced, reduced))
+    return relate_axes(together, energies, np.einsum("...n,...n->...", reduced, reduced))
 
 
-def _correlate(together: Samples, energies: Samples, energy: Samples) -> Samples:
+def relate_axes(together: Samples, energies: Samples, energy: Samples) -> Samples:
     """Absolute correlations (..., 3), from products with each axis (..., 3), the axes' energies and the signal's."""
     together, norms, norm = np.abs(together), np.sqrt(energies), np.sqrt(energy)[..., None]
     silent = norms <= _SILENT * norms.max(axis=-1, keepdims=True)
@@ -537,7 +537,7 @@ def match_in_windows(samples: Samples, reduced: Samples, rate_hz: float) -> Samp
     starts = np.arange(count) * n // count
     products = (samples * reduced[..., None, :], np.square(samples), np.square(reduced))
     together, energies, own = (np.add.reduceat(one, starts, axis=-1) for one in products)
-    of_axes = _correlate(np.swapaxes(together, -1, -2), np.swapaxes(energies, -1, -2), own)
+    of_axes = relate_axes(np.swapaxes(together, -1, -2), np.swapaxes(energies, -1, -2), own)
     weights = energies.sum(axis=-2)
     total = weights.sum(axis=-1)
     share = np.nan_to_num(mean_over_axes(of_axes)) * weights

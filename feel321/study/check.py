@@ -1,7 +1,8 @@
 """`check` and `build`: the steps of a study before its sessions."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -28,7 +29,6 @@ from feel321.study.folder import Problems, StudyFolder
 from feel321.study.minutes import Pace, measure_length
 from feel321.study.session.journal import Clock, utc_now
 from feel321.study.session.plan import PLAN_FILE, Design, make_plan, make_trials
-from feel321.study.sessions import list_rig_problems
 from feel321.study.settings import read
 from feel321.study.settings.schema import Settings, count_groups
 
@@ -272,17 +272,16 @@ def _check_rig(
     study: StudyFolder, settings: Settings, *, now: Clock
 ) -> tuple[Rig | None, Problems]:
     """Check the rig, where there is one, and the certificate that a session would use. An unusable rig is None."""
-    from feel321.study.actuator.render import find_mix
+    from feel321.study.actuator import render
 
     if not study.rig.is_file():
         return None, Problems()
-    name, own, place = study.rig.name, settings.rig, ""
+    name, own = study.rig.name, settings.rig
     try:
         rig = read_rig(study.rig)
-        place = f"{name}: "
-        find_mix(rig)
+        render.find_mix(rig)
     except ValueError as error:
-        return None, Problems(tuple(f"{place}{line}" for line in str(error).splitlines()))
+        return None, Problems(tuple(str(error).splitlines()))
     certificate, faults = judge_certificates(study.path, rig, now=now(), rate_hz=own.rate_hz)
     lines, found = tuple(f"{name}: {fault}" for fault in faults), Problems()
     if certificate is not None:
@@ -297,10 +296,20 @@ def _check_rig(
         stimuli = read_stimuli(study.stimuli)
     except (OSError, ValueError):
         return rig, found  # not built yet, or damaged, which is found by itself
-    problems = list_rig_problems(
-        study, rig, settings=settings, stimuli=stimuli, certificate=certificate
-    )
+    problems, _ = render.find_rig_problems(rig, stimuli, settings, certificate=certificate)
     return rig, found + Problems(tuple(problems))
+
+
+def find_copies(facts: Iterable[sets.Facts]) -> list[str]:
+    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
+    names: defaultdict[str, list[str]] = defaultdict(list)
+    for one in facts:
+        names[one.sha256].append(one.name)
+    return [
+        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
+        for sha256, same in names.items()
+        if sha256 and len(same) > 1
+    ]
 
 
 def find_warnings(
@@ -312,7 +321,7 @@ def find_warnings(
         for name in settings.tasks
         if name not in settings.session.protocols
     ]
-    remarks += sets.find_copies(recordings)
+    remarks += find_copies(recordings)
     remarks += [
         f"recording {one.name!r}, at {one.rate_hz:g} Hz: holds nothing above {one.rate_hz / 2:g} Hz, so its matches "
         f"compare less than 20 to {HIGHEST_HZ:g} Hz; record at {2 * HIGHEST_HZ:g} Hz or more, or report the band"

@@ -16,24 +16,13 @@ from feel321 import __version__
 from feel321.analysis import figures
 from feel321.analysis.page import render_words
 from feel321.analysis.power import plan as planning
-from feel321.analysis.power.design import ENOUGH, GROUPS, SPREADS, PowerDesign, Truth
-from feel321.analysis.power.simulate import simulate_studies
+from feel321.analysis.power.design import ENOUGH, GROUPS, PowerDesign, Truth
 from feel321.analysis.primary.model import fit_primary
-from feel321.analysis.primary.plan import (
-    ITEM,
-    RATING,
-    REDUCER,
-    SCENE,
-    SOURCE,
-    WHO,
-    find_recording_slope,
-)
+from feel321.analysis.primary.plan import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO
 from feel321.analysis.report import folder as results
 from feel321.analysis.report.section import Picture, find_table_steps
-from feel321.analysis.table import reading
-from feel321.analysis.table.items import Part, Table, split_tests
-from feel321.analysis.table.metrics import Step
-from feel321.analysis.table.reading import Further
+from feel321.analysis.table.items import Table, split_tests
+from feel321.analysis.table.reading import Further, read_table
 from feel321.analysis.words import format_name
 from feel321.doors import check_name
 from feel321.jobs import Workers
@@ -43,8 +32,7 @@ from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study import ratings
 from feel321.study.folder import StudyFolder, UsageError
 from feel321.study.observer import make_model
-from feel321.study.session import plan as plans
-from feel321.study.session.plan import list_by_code
+from feel321.study.session.plan import list_by_code, make_plan
 from feel321.study.settings import read, schema
 from feel321.study.settings.read import list_origins
 from feel321.study.settings.schema import Settings
@@ -53,17 +41,13 @@ Numbers = int | Sequence[int]
 Row = dict[str, Any]
 
 OWN = "study"  # A pilot that is no file: the study's own ratings
-KEPT = ".studies"  # folder, in that of the results, of simulated studies: an interrupted call is continued from there
-
-PEOPLE, FEWEST = 16, 3
-"""Raters of each attribute in the design around which others are compared; without so many there is no model."""
-
+PEOPLE = 16  # Raters of each attribute in the design around which others are compared
+FEWEST = 3  # Raters of each attribute below which there is no model
 MOST_POINTS = 100  # more than the whole scale per step of a metric is a slip
 GIVEN, OBSERVED = "given", "simulated observers"  # where a slope comes from
-
 HEIGHT_CM = 7.5
+# Line styles, for curves besides that of the study's own number.
 WALKS = ((0, (5, 1.2)), (0, (2, 1)), (0, (5, 1, 1, 1)), (0, (1, 1)), (0, (8, 1.5)))
-"""Line styles, for curves besides that of the study's own number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +70,6 @@ def set_up(
     further: Further | None = None,
 ) -> PowerTask:
     """Set up the power analysis of a study; further: the metrics that the analysis declares and the manifest lacks."""
-    asked = effects if isinstance(effects, Mapping) else _read_effects(effects)
     settings = read.read_settings(study.settings)
     if settings.session.recordings_per_participant:
         raise ValueError(
@@ -98,13 +81,10 @@ def set_up(
     choosing = {name: levels for name, levels in settings.between.items() if name in CHOOSING}
     share = schema.count_groups(choosing)
     table = _tabulate_plan(settings, stimuli, groups=share, further=further)
-    if not (rated := list(split_tests(table))):
-        raise ValueError(
-            "session.protocols ask for no rating of a single stimulus, so there is no slope to plan for; add realism "
-            "or similarity"
-        )
-    slopes = _plant(settings, rated, steps=find_table_steps(table), effects=asked)
+    asked = effects if isinstance(effects, Mapping) else _read_effects(effects)
+    slopes = _plant(settings, table, asked)
     metrics, attributes = (tuple(slopes[name].unique()) for name in ("metric", "attribute"))
+    rated = list(split_tests(table))
     rows = rated[0].rows
     shared = [] if rows.drop_duplicates(SCENE)[SOURCE].is_unique else [SOURCE]
     items = rows.drop_duplicates(ITEM)[[SCENE, REDUCER, ITEM, *shared, *metrics]]
@@ -121,8 +101,16 @@ def set_up(
     }
     notes = [note for note, holds in said.items() if holds]
     if pilot is not None:
-        given = _read_pilot(study, stimuli, pilot, further=further)
-        name = "this study" if str(pilot) == OWN else Path(pilot).name
+        is_own = str(pilot) == OWN
+        path = study.ratings if is_own else Path(pilot)
+        if is_own and study.journals:
+            ratings.write_ratings(study, stimuli)
+        if not path.is_file():
+            why = "no ratings yet" if is_own else "no such table of ratings"
+            raise FileNotFoundError(f"{path}: {why}; --pilot takes a file, or {OWN}")
+        listed, declared = stimuli.to_frame(), settings.analysis.metrics
+        given = read_table(path, listed, metrics=declared, further=further)
+        name = "this study" if is_own else path.name
         truth = _fit_pilot(given, metrics, name=name, known=truth)
         if given.rows["simulated"].any():
             notes.append(f"{name}: ratings come from simulated participants, not from people.")
@@ -130,6 +118,35 @@ def set_up(
         items.reset_index(drop=True), metrics, truth, attributes, PEOPLE, settings.session.repeats, wanted=wanted
     )  # fmt: skip
     return PowerTask(design, slopes, settings.study.name, share, tuple(notes))
+
+
+def _tabulate_plan(
+    settings: Settings, stimuli: StimulusSet, *, groups: int, further: Further | None = None
+) -> Table:
+    """Tabulate what participants are asked to judge, one of each group; all ratings are 0."""
+    design = read.make_design(settings)
+    rows = []
+    for number in range(1, groups + 1):
+        who = f"sim{number:03d}"
+        plan = make_plan(design, stimuli, who, number=number, simulated=True)
+        by_code = list_by_code(stimuli, seed=plan.seed)
+        main = (trial for trial in plan.trials if trial.phase == "main")
+        for trial, judgement in ((one, judged) for one in main for judged in one.judgements):
+            if (stimulus := by_code.get(judgement.stimulus_id)) is None:
+                continue
+            compared = judgement.reference_id, find_other(trial, judgement)
+            others = [by_code[one].stimulus_id if one in by_code else one or "" for one in compared]
+            rows.append({
+                WHO: who, "session": 1, "protocol": trial.protocol, "block": trial.block, "trial": trial.number,
+                "repeat": trial.repeat, "stimulus_id": stimulus.stimulus_id, SCENE: stimulus.recording,
+                REDUCER: stimulus.reducer, "level": stimulus.level, "scale": judgement.scale or trial.scale,
+                RATING: 0.0, "rejected": "false", "simulated": "true",
+                "reference_id": others[0], "other_id": others[1],
+            })  # fmt: skip
+    return read_table(
+        DataFrame(rows), stimuli.to_frame(), metrics=settings.analysis.metrics,
+        sources=list_origins(settings), further=further,
+    )  # fmt: skip
 
 
 def _read_effects(texts: Sequence[str]) -> dict[str, float]:
@@ -142,52 +159,20 @@ def _read_effects(texts: Sequence[str]) -> dict[str, float]:
             name, value = "", 0.0
         if not name or name in effects:
             fault = f"got {name!r} twice; give it once" if name else f"got {text!r}"
-            raise UsageError(
-                f"--effect must be METRIC=POINTS, such as temporal_match=1.5, once for each; {fault}"
-            )
+            must = "METRIC=POINTS, such as temporal_match=1.5, once for each"
+            raise UsageError(f"--effect must be {must}; {fault}")
         effects[name] = value
     return effects
 
 
-def _tabulate_plan(
-    settings: Settings, stimuli: StimulusSet, *, groups: int, further: Further | None = None
-) -> Table:
-    """Tabulate what participants are asked to judge, one of each group; all ratings are 0."""
-    design = read.make_design(settings)
-    rows = []
-    for number in range(1, groups + 1):
-        who = f"sim{number:03d}"
-        plan = plans.make_plan(design, stimuli, who, number=number, simulated=True)
-        by_code = list_by_code(stimuli, seed=plan.seed)
-        main = (trial for trial in plan.trials if trial.phase == "main")
-        for trial, judgement in ((one, judged) for one in main for judged in one.judgements):
-            if (stimulus := by_code.get(judgement.stimulus_id)) is None:
-                continue
-            others = {
-                "reference_id": judgement.reference_id, "other_id": find_other(trial, judgement),
-            }  # fmt: skip
-            rows.append({
-                WHO: who, "session": 1, "protocol": trial.protocol, "block": trial.block, "trial": trial.number,
-                "repeat": trial.repeat, "stimulus_id": stimulus.stimulus_id, SCENE: stimulus.recording,
-                REDUCER: stimulus.reducer, "level": stimulus.level, "scale": judgement.scale or trial.scale,
-                RATING: 0.0, "rejected": "false", "simulated": "true",
-                **{k: by_code[v].stimulus_id if v in by_code else v or "" for k, v in others.items()},
-            })  # fmt: skip
-    return reading.read_table(
-        DataFrame(rows), stimuli.to_frame(), metrics=settings.analysis.metrics,
-        sources=list_origins(settings), further=further,
-    )  # fmt: skip
-
-
-def _plant(
-    settings: Settings,
-    rated: Sequence[Part],
-    *,
-    steps: Mapping[str, Step],
-    effects: Mapping[str, float],
-) -> DataFrame:
+def _plant(settings: Settings, table: Table, effects: Mapping[str, float]) -> DataFrame:
     """Plant the slopes that are asked for, those of one scale last, and those of the observers elsewhere."""
-    several = len({part.level for part in rated}) > 1
+    if not (rated := list(split_tests(table))):
+        raise ValueError(
+            "session.protocols ask for no rating of a single stimulus, so there is no slope to plan for; add realism "
+            "or similarity"
+        )
+    steps, several = find_table_steps(table), len({part.level for part in rated}) > 1
     attributes = [part.lead if several else part.scale for part in rated]
     chosen: dict[tuple[str, str], float] = {}
     for name in sorted(effects, key=lambda one: "/" in one):
@@ -197,9 +182,8 @@ def _plant(
             check_name(attribute, attributes, "effect, attribute")
         value = effects[name]
         if not isinstance(value, int | float | np.integer) or not abs(value) <= MOST_POINTS:
-            raise ValueError(
-                f"effect {name} must be from -{MOST_POINTS} to {MOST_POINTS} points, got {value!r}"
-            )
+            must = f"from -{MOST_POINTS} to {MOST_POINTS} points"
+            raise ValueError(f"effect {name} must be {must}, got {value!r}")
         chosen |= {(one, metric): float(value) for one in ([attribute] if one_only else attributes)}
     model = make_model(settings)
     felt = {model.spectral_metric: model.spectral, "temporal_match": model.temporal}
@@ -214,21 +198,6 @@ def _plant(
     ])  # fmt: skip
 
 
-def _read_pilot(
-    study: StudyFolder, stimuli: StimulusSet, pilot: str | Path, *, further: Further | None
-) -> Table:
-    """Read pilot ratings of the study's stimuli."""
-    is_own = str(pilot) == OWN
-    path = study.ratings if is_own else Path(pilot)
-    if is_own and study.journals:
-        ratings.write_ratings(study, stimuli)
-    if not path.is_file():
-        why = "no ratings yet" if is_own else "no such table of ratings"
-        raise FileNotFoundError(f"{path}: {why}; --pilot takes a file, or {OWN}")
-    metrics = read.read_settings(study.settings).analysis.metrics
-    return reading.read_table(path, stimuli.to_frame(), metrics=metrics, further=further)
-
-
 def _fit_pilot(table: Table, metrics: Sequence[str], *, name: str, known: Truth) -> Truth:
     """Take the mean and standard deviations of a pilot: the root mean square of those of all attributes.
 
@@ -237,6 +206,8 @@ def _fit_pilot(table: Table, metrics: Sequence[str], *, name: str, known: Truth)
     """
     if not (rated := list(split_tests(table))):
         raise ValueError(f"{name}: holds no rating of a single test stimulus; give other ratings")
+    # Slopes differ between sources, where several recordings come from one.
+    groups = {"people": [WHO], "recordings": [SCENE, SOURCE]}
     means, found = [], []
     for rows in (part.rows for part in rated):
         cells = rows.groupby([WHO, ITEM], observed=True)[RATING]
@@ -256,27 +227,29 @@ def _fit_pilot(table: Table, metrics: Sequence[str], *, name: str, known: Truth)
         found.append({
             **{field: spreads.get((group, "(Intercept)"), 0.0) for field, group in GROUPS.items()},
             "person_item_sd": own, "rating_sd": rating_sd,
-            **{f"people/{one}": spreads.get((WHO, f"{one}_w"), 0.0) for one in model.slopes.index},
-            **{f"scenes/{one}": find_recording_slope(spreads, one) for one in model.slopes.index},
+            **{
+                f"{whose}/{one}": max(spreads.get((group, f"{one}_w"), 0.0) for group in own_groups)
+                for whose, own_groups in groups.items() for one in model.slopes.index
+            },
         })  # fmt: skip
-    pooled = np.sqrt((DataFrame(found).dropna(axis=1) ** 2).mean()).to_dict()
-    shared = [one for one in metrics if f"people/{one}" in pooled]
+    pooled: Row = np.sqrt((DataFrame(found).dropna(axis=1) ** 2).mean()).to_dict()
+    people_sds, scene_sds = (
+        {one: pooled.pop(f"{whose}/{one}") for one in metrics if f"{whose}/{one}" in pooled}
+        for whose in groups
+    )
     people = len({who for part in rated for who in part.rows[WHO]})
-    spreads_of_truth: Row = {field: pooled[field] for field in SPREADS}
     return replace(
         known, mean=float(np.mean(means)), source=f"the primary model of {people} people's ratings in {name}",
-        slope_sds={one: pooled[f"people/{one}"] for one in shared},
-        recording_slope_sds={one: pooled[f"scenes/{one}"] for one in shared}, **spreads_of_truth,
+        slope_sds=people_sds, recording_slope_sds=scene_sds, **pooled,
     )  # fmt: skip
 
 
-def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studies, who does them, who watches
+def plan_study(
     task: PowerTask,
     sizes: Mapping[str, Numbers],
     *,
     studies: int = 1000,
     seed: int = 0,
-    keep: Path | None = None,
     workers: Workers,
     progress: Callable[[int, int], None],
 ) -> "StudyPower":
@@ -304,8 +277,8 @@ def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studi
     def simulate(design: PowerDesign) -> np.ndarray:
         nonlocal run
         done, run = min(run, planning.TRIED), run + 1
-        return simulate_studies(
-            design, studies=studies, seed=seed, workers=workers, keep=keep,
+        return planning.simulate_studies(
+            design, studies=studies, seed=seed, workers=workers,
             progress=lambda part, parts: progress(done * parts + part, whole * parts),
         )  # fmt: skip
 
@@ -328,18 +301,11 @@ class StudyPower(results.PageResult):
     @property
     def answer(self) -> str:
         """Which design is enough, its power and interval, in one sentence; or why none is."""
-        plan, design, table, share = (
-            self.plan,
-            self.plan.shown.design,
-            self.plan.table,
-            self.task.share,
-        )
-        row = self._find_row(plan.hypothesis)
+        plan, table, share = self.plan, self.plan.table, self.task.share
+        design, row = plan.shown.design, self._find_row(plan.hypothesis)
         best = table.sort_values("ceiling", na_position="first").iloc[-1]
-        tried, refuted = (
-            table[table["kind"] != "smallest"],
-            table[table["enough"] & table["refuted"]],
-        )
+        tried = table[table["kind"] != "smallest"]
+        refuted = table[table["enough"] & table["refuted"]]
         most = {planning.CEILING: best["ceiling"], planning.REFUTED: refuted["simulated"].max()}
         detectable = row["detectable"] * row["size"]
         return " ".join(render_words(
@@ -391,12 +357,10 @@ class StudyPower(results.PageResult):
         }  # fmt: skip
         steps = task.effects.drop_duplicates("metric").set_index("metric")
         slope_sds = [
-            (
-                f"slopes of {whose} on {format_name(name)}, per {steps['per'][name]}",
-                sd * steps["size"][name],
-            )
-            for whose, every in (("people", own.slope_sds), ("recordings", own.recording_slope_sds))
-            for name, sd in zip(own.metrics, every, strict=True)
+            (f"slopes of {whose} on {format_name(name)}, per {step.per}", sd * step.size)
+            for whose, sds in zip(("people", "recordings"), own.slope_sds, strict=True)
+            for name, sd in zip(own.metrics, sds, strict=True)
+            for step in [steps.loc[name]]
         ]
         values = {
             "content": content, "slope_sds": slope_sds, "own": own.recordings, "shown": plan.shown.design,

@@ -17,15 +17,9 @@ from shlex import join
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, Self
 
+from feel321.study.actuator import render
+from feel321.study.actuator import rig as rigs
 from feel321.study.actuator.certificate import judge_certificates
-from feel321.study.actuator.rig import (
-    FILE_DEVICE,
-    SIMULATED_DEVICE,
-    Rig,
-    identify,
-    read_rig,
-    take_device,
-)
 from feel321.study.evidence.checkpoints import note_checkpoint
 from feel321.study.folder import DELIVERED
 from feel321.study.keys import USUAL, label_key
@@ -35,7 +29,7 @@ from feel321.study.observer import Casting, Participant, find_person, make_model
 from feel321.study.participants.roster import make_progress
 from feel321.study.session.events import UNCALIBRATED, DeviceOpened
 from feel321.study.session.ports import Place
-from feel321.study.sessions import Room, lead_session, list_rig_problems, plan_sessions
+from feel321.study.sessions import Room, lead_session, plan_sessions
 from feel321.study.settings import read
 from feel321.study.settings.read import list_surfaces, try_recordings
 from feel321.study.strength import find_unfelt
@@ -83,7 +77,7 @@ class SessionLog:
             wrong = f"{who}: look after the rig in a break ({place.notice})"
             echo(f"{wrong}; what the hand gets is within tolerance, trials count", err=True)
         if place.fault:
-            key = label_key(read_rig(self._rig).keys.find_key("experimenter"), {})
+            key = label_key(rigs.read_rig(self._rig).keys.find_key("experimenter"), {})
             failed = f"{who}: the device failed ({place.fault}); check it"
             echo(f"{failed}, then press {key} in the participant's window", err=True)
         elif is_terminal():
@@ -159,27 +153,18 @@ def run_participant(
 def require_rig(room: Room, *, warn: Callable[[str], None]) -> Room:
     """Read the rig and its certificate, and check that it can play the stimuli, which are rendered here once."""
     study, own = room.study, room.settings.rig
-    if not study.rig.is_file():
-        raise FileNotFoundError(
-            f"{study.rig}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
-        )
-    rig = read_rig(study.rig)
+    rig = rigs.read_rig(study.rig)
     if room.device is not None:
-        rig = take_device(rig, room.device)
+        rig = rigs.take_device(rig, room.device)
     certificate, faults = judge_certificates(study.path, rig, now=room.now(), rate_hz=own.rate_hz)
     if faults and own.certificate == "require":
         raise ValueError("\n".join(faults))
-    sounds: dict[str, Any] = {}
-    if problems := list_rig_problems(
-        study,
-        rig,
-        settings=room.settings,
-        stimuli=room.stimuli,
-        certificate=certificate,
-        sounds=sounds,
-    ):
+    problems, sounds = render.find_rig_problems(
+        rig, room.stimuli, room.settings, certificate=certificate
+    )
+    if problems:
         raise ValueError("\n".join(problems))
-    if faults and rig.device.name != FILE_DEVICE:
+    if faults and rig.device.name != rigs.FILE_DEVICE:
         warn(f"{faults[0]}; until then every row is {UNCALIBRATED}")
     return replace(room, rig=rig, certificate=certificate, sounds=sounds)
 
@@ -187,7 +172,7 @@ def require_rig(room: Room, *, warn: Callable[[str], None]) -> Room:
 def check_lab(room: Room) -> None:
     """Check everything that can be checked before anything is opened."""
     rig = _get_rig(room)
-    has_device = rig.device.name not in {FILE_DEVICE, SIMULATED_DEVICE}
+    has_device = rig.device.name not in {rigs.FILE_DEVICE, rigs.SIMULATED_DEVICE}
     needed = ["psychopy", "sounddevice"] if has_device else ["psychopy"]
     if missing := [name for name in needed if find_spec(name) is None]:
         raise OSError(f"run: {' and '.join(missing)} not found, which sessions need; {INSTALL}")
@@ -208,7 +193,7 @@ def check_lab(room: Room) -> None:
         check_screen(room.screen)
 
 
-def _get_rig(room: Room) -> Rig:
+def _get_rig(room: Room) -> rigs.Rig:
     if room.rig is None:
         raise ValueError("run: no rig was read; a session needs one")
     return room.rig
@@ -217,7 +202,7 @@ def _get_rig(room: Room) -> Rig:
 def identify_lab(room: Room) -> dict[str, Any]:
     """Describe what a session depends on besides its plan, for the header of its journal."""
     who = room.casting.identity if room.casting else {"simulated": False}
-    presenter = {**who, "rehearsal": room.study.is_rehearsal, "rig": identify(_get_rig(room))}
+    presenter = {**who, "rehearsal": room.study.is_rehearsal, "rig": rigs.identify(_get_rig(room))}
     calibration = room.certificate.identity if room.certificate else UNCALIBRATED
     return read.make_identity(room.settings, room.study.path, presenter, calibration=calibration)
 
@@ -267,9 +252,7 @@ def _open_output(
     rig, certificate, rate_hz = _get_rig(room), room.certificate, room.settings.rig.rate_hz
     sounds = dict(room.sounds)
     if plan.threshold:
-        from feel321.study.actuator.render import render_tones
-
-        sounds |= render_tones(plan.threshold, rig, rate_hz=rate_hz, certificate=certificate)
+        sounds |= render.render_tones(plan.threshold, rig, rate_hz=rate_hz, certificate=certificate)
     folder = room.study.sessions / plan.participant / DELIVERED
     played = certificate.apply(rig) if certificate else rig
     check = _make_check(room)
@@ -279,7 +262,7 @@ def _open_output(
 def _make_check(room: Room) -> DeliveryCheck | None:
     """Make what compares playbacks with what was asked; without their recordings, stimuli have no delivered metrics."""
     rig, settings, folder = _get_rig(room), room.settings, room.study.path
-    if rig.device.name == FILE_DEVICE or rig.sensor is None:
+    if rig.device.name == rigs.FILE_DEVICE or rig.sensor is None:
         return None
     from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
 

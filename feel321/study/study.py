@@ -140,8 +140,7 @@ class Study(OpenStudy):
         scheduler : str
             A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
         """
-        from feel321.stimuli.sets.build import find_copies
-        from feel321.study.check import build_study
+        from feel321.study.check import build_study, find_copies
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(
@@ -227,7 +226,6 @@ class Study(OpenStudy):
                 sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                keep=target / power.KEPT,
                 workers=as_workers(workers, scheduler),
                 progress=step,
             )
@@ -254,7 +252,7 @@ class Study(OpenStudy):
         redesign : bool
             Design the filters anew from the stored sweeps, without playing.
         """
-        from feel321.study.actuator.verbs import calibrate_rig
+        from feel321.study.actuator.calibrate import calibrate_rig
 
         return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
 
@@ -275,7 +273,7 @@ class Study(OpenStudy):
         seconds : float
             Duration of the pulse train, in s.
         """
-        from feel321.study.actuator.verbs import examine_study_rig
+        from feel321.study.actuator.doctor import examine_study_rig
 
         return examine_study_rig(self, device=device, seconds=seconds)
 

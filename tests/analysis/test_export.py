@@ -12,7 +12,6 @@ import pytest
 
 from feel321 import analysis
 from feel321.analysis import export
-from feel321.analysis.primary.model import write_r_string
 
 WITH_R = {
     # R 4.2.2, lme4 1.1-31, lmerTest 3.1-3: estimate, se, df.
@@ -46,13 +45,8 @@ def table() -> analysis.Table:
                 rating = 45 + good + oddness[number] + mood[person] + taste[person, place]
                 rating += rng.normal(0, 5)
                 name = stimuli["stimulus_id"][place]
-                rows.append((
-                    f"00{person}",
-                    name,
-                    scale,
-                    again + 1,
-                    min(max(round(rating), 0), 100),
-                ))
+                points = min(max(round(rating), 0), 100)
+                rows.append((f"00{person}", name, scale, again + 1, points))
     columns = ["participant", "stimulus_id", "scale", "repeat", "rating"]
     ratings = pd.DataFrame(rows, columns=columns)
     return analysis.read_table(ratings, stimuli, metrics=["spectral_match", "my-metric"])
@@ -102,13 +96,10 @@ def test_slopes_agree_with_lme4(folder: Path, scale: str, metric: str) -> None:
 
 @pytest.mark.soak
 def test_r_runs_the_script(folder: Path) -> None:
-    r = shutil.which("Rscript")
-    if (
-        r is None
-        or subprocess.run([r, "-e", "library(lme4)"], capture_output=True, check=False).returncode
-    ):
+    r, known = shutil.which("Rscript"), {"capture_output": True, "text": True}
+    if r is None or subprocess.run([r, "-e", "library(lme4)"], check=False, **known).returncode:
         pytest.skip("R with lme4 is missing here: model.R is not run")
-    done = subprocess.run([r, "model.R"], cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run([r, "model.R"], cwd=folder, check=False, **known)
     assert done.returncode == 0, done.stderr
 
 
@@ -126,7 +117,3 @@ def test_only_an_earlier_export_is_replaced(table: analysis.Table, tmp_path: Pat
         with pytest.raises(FileExistsError, match="holds files that are not"):
             export.export_r(some, path)
     assert [path.read_text() for path in other.iterdir()] == ["mine"]
-
-
-def test_text_is_quoted_as_r_takes_it() -> None:
-    assert write_r_string('r\u00e9alisme "1"') == '"r\\u00e9alisme \\"1\\""'

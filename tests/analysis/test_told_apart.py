@@ -8,12 +8,7 @@ import pytest
 from scipy import stats
 from scipy.stats import beta, binom, norm
 
-from feel321.analysis.contrasts.told_apart import (
-    EVERY,
-    abx_d_prime,
-    compare_with_original,
-    discriminate,
-)
+from feel321.analysis.choices import EVERY, abx_d_prime, compare_with_original, discriminate
 
 
 def simulate(d_prime: float, model: str, *, n: int = 200_000) -> float:

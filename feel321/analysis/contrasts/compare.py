@@ -4,15 +4,16 @@ Conventions: hidden reference and anchors have their place here (their role mark
 first, then a participant's stimuli, then participants, so that nobody counts twice for having judged more.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from pandas import DataFrame
+from scipy.linalg import helmert
+from scipy.stats import f as fisher
+from scipy.stats import t
 
-from feel321.analysis.arrays import CONFIDENCE, check_columns, read_numbers
+from feel321.analysis.arrays import UPPER, check_columns, read_numbers
 from feel321.analysis.mixed.model import MixedFit, contrast, fit_mixed
 from feel321.analysis.table.items import (
     Table,
@@ -26,9 +27,6 @@ from feel321.analysis.table.items import (
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.doors import check_name
 from feel321.records import Statistic
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 SIGNIFICANCE = 0.05
 
@@ -77,8 +75,6 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     >>> round(result.low90, 2), round(result.high90, 2)
     (-0.66, 3.66)
     """
-    from scipy.stats import t
-
     for name, value in {"estimate": estimate, "low": low, "high": high}.items():
         if not math.isfinite(value):
             raise ValueError(f"{name} must be a finite number, got {value}")
@@ -99,8 +95,6 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
 
 def find_interval90(estimate: float, se: float, df: float) -> tuple[float, float]:
     """Find the 90 % interval, which lies within a margin exactly if two one-sided tests at 5 % show equivalence."""
-    from scipy.stats import t
-
     half = float(t.ppf(1 - SIGNIFICANCE, df)) * se
     return estimate - half, estimate + half
 
@@ -150,13 +144,11 @@ def _read_rows(ratings: Table | DataFrame, names: list[str]) -> DataFrame:
 
 def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
     """Average participants' means; t interval over participants."""
-    from scipy.stats import t
-
     table = means.groupby(key, observed=True)["rating"].agg(["mean", "std", "size", "nunique"])
     n = table["size"].to_numpy(np.float64)
     spread = table["std"].where(table["nunique"] > 1).to_numpy(np.float64)
     with np.errstate(invalid="ignore"):
-        margin = t.ppf((1 + CONFIDENCE) / 2, n - 1) * spread / np.sqrt(n)
+        margin = t.ppf(UPPER, n - 1) * spread / np.sqrt(n)
     table = table.rename(columns={"size": "n_participants"})
     table["low"] = (table["mean"] - margin).clip(lower=LOWEST)
     table["high"] = (table["mean"] + margin).clip(upper=HIGHEST)
@@ -209,20 +201,6 @@ def compare_reducers(
     recordings and reducers, as far as each has several rows; repeats are averaged first. All reducers are in the
     model: they share its spreads. Tests as in `equivalence`, on Satterthwaite's degrees of freedom; non-inferiority is
     that the first is not worse than the second by the margin.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> rows = pd.DataFrame([(p, r, m) for p in "abcdef" for r in "tuvw" for m in ("dft321", "pca321")],
-    ...     columns=["participant", "recording", "reducer"])
-    >>> noise = np.random.default_rng(1).normal(0, 4, len(rows))
-    >>> rows = rows.assign(stimulus_id=rows["recording"] + rows["reducer"],
-    ...     rating=50 + 20 * (rows["reducer"] == "dft321") + noise)
-    >>> found = analysis.compare_reducers(rows, "dft321", "pca321", margin=5)
-    >>> round(found.estimate), found.equivalent, found.non_inferior
-    (20, False, True)
     """
     rows = open_ratings(choose_arms(ratings, scale, level))
     rows, notes = open_tests(name_items(rows), named=["recording", "reducer"])
@@ -281,9 +259,6 @@ def compare_terms(fit: MixedFit, terms: Sequence[str]) -> Statistic:
 
     Source: Fai & Cornelius (1996), doi 10.1080/00949659608811740.
     """
-    from scipy.linalg import helmert
-    from scipy.stats import f as fisher
-
     places = [list(fit.fixed.index).index(name) for name in terms]
     basis = helmert(len(terms))
     covariance = basis @ fit.uncertainty.covariance[np.ix_(places, places)] @ basis.T

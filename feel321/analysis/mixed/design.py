@@ -5,22 +5,18 @@ uncorrelated; ``(0 + x | g)`` a slope alone; ``(1 | a:b)`` one per combination; 
 (1 | b:a)``. The fixed part is left to formulaic, which knows ``+ - : * / ^ I()`` and functions of columns.
 """
 
-from __future__ import annotations
-
 import re
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pandas import DataFrame
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-    from pandas import DataFrame
-
-    Matrix = NDArray[np.float64]
+Matrix = NDArray[np.float64]
 
 NAME = r"(?:`[^`]+`|[^\W\d][\w.]*)"
 INNER = r"(?:`[^`]*`|[^()|`]|\([^()|]*\))"
@@ -30,9 +26,7 @@ GROUP = re.compile(rf"\s*{NAME}\s*(?:[:/]\s*{NAME}\s*)*")
 UNREAD = r"[|]|~.*~|(offset|weights)\s*\(|(^|[~\s])\.(\s|$)"
 """What no part of a formula may hold once names in backticks and random terms are taken out."""
 
-DEPENDENT = 1e-9
-"""Share of a column's length left over beside the others, below which it is their sum but for rounding."""
-
+DEPENDENT = 1e-9  # Share of a column's length below which what others leave of it is rounding
 FLAT = 1e-12  # Share of a response's size below which what the fixed effects leave over is rounding
 
 
@@ -70,8 +64,6 @@ class MixedDesign:
 
 def build_design(formula: str, data: DataFrame) -> MixedDesign:
     """Build a model's matrices."""
-    import pandas as pd
-
     if not isinstance(data, pd.DataFrame):
         got = type(data).__name__
         raise TypeError(f"data must be a pandas DataFrame, one row per observation, got {got}")
@@ -126,10 +118,6 @@ def _refuse(formula: str, why: str) -> ValueError:
     return ValueError(f"formula {formula!r} cannot be fitted: {why}")
 
 
-def _miss(name: str, data: DataFrame) -> str:
-    return f"no column {name!r}; columns are {', '.join(map(str, data))}"
-
-
 def _expand(text: str, formula: str, data: DataFrame) -> Columns:
     """Write out a sum of columns of numbers without formulaic, which takes a tenth of a fit; all else with it."""
     pieces = text.split(" + ")
@@ -164,7 +152,8 @@ def _run_formulaic(text: str, formula: str, data: DataFrame) -> Columns:
     except known as error:
         why = "".join(str(error).splitlines()[:1])
         if missing := re.search("NameError: `([^`]+)`", why):
-            raise _refuse(formula, _miss(missing[1], data)) from error
+            why = f"no column {missing[1]!r}; columns are {', '.join(map(str, data))}"
+            raise _refuse(formula, why) from error
         raise _refuse(formula, f"cannot read {text!r} ({why})") from error
     # Rows whose category is missing come out as zeros, as if they were of the first one.
     for name in matrix.model_spec.required_variables:
@@ -227,7 +216,7 @@ def _number_levels(names: Sequence[str], formula: str, data: DataFrame) -> Facto
     combined = np.zeros(len(data), dtype=np.intp)
     for name in names:
         if name not in data:
-            raise _refuse(formula, _miss(name, data))
+            raise _refuse(formula, f"no column {name!r}; columns are {', '.join(map(str, data))}")
         codes, values = data[name].factorize(sort=True)
         if (codes < 0).any():
             got = f"got {int((codes < 0).sum())} rows without; leave them out"

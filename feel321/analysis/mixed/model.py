@@ -1,29 +1,26 @@
 """Linear mixed models: `fit_mixed`, and `contrast` for sums and differences of its effects."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
+from pandas import DataFrame
+from scipy.stats import t as student
 
-from feel321.analysis.arrays import CONFIDENCE
+from feel321.analysis.arrays import UPPER
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
 from feel321.doors import describe
 from feel321.records import Statistic
+from feel321.types import Samples
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from pandas import DataFrame
-
-    from feel321.types import Samples
-
-NEAR, STEPS = 1e-5, 3
-"""A step of a spread after which second derivatives are computed anew, and Newton's steps at most."""
-
+NEAR = 1e-5  # A step of a spread after which second derivatives are computed anew
+STEPS = 3  # Of Newton's method at most
+POLISH = 0.1  # Longest such step, in units of a spread
+ROUNDING = 1e-6  # What a deviance of some thousands is known to
+FLAT = 1e-8  # Curvature below this carries no information: a spread at its boundary
 BOUND = 1 - 1e-6  # A correlation beyond this is one of ±1 but for rounding
 
 
@@ -47,13 +44,11 @@ class Uncertainty:
         With v = w' C w and g its derivatives with respect to the spreads, whose covariance is A, the degrees of
         freedom are 2 v² / g' A g (Satterthwaite 1946, doi 10.2307/3002019; lmerTest, doi 10.18637/jss.v082.i13).
         """
-        from scipy.stats import t as student
-
         variance = float(weights @ self.covariance @ weights)
         slope = np.einsum("i,kij,j->k", weights, self.slopes, weights)
         df = min(float(2 * variance**2 / (slope @ self.parameters @ slope)), self.most_df)
         value, se = float(weights @ self.effects), float(np.sqrt(variance))
-        margin = float(student.ppf((1 + CONFIDENCE) / 2, df)) * se
+        margin = float(student.ppf(UPPER, df)) * se
         p = float(2 * student.sf(abs(value / se), df))
         return Statistic(
             "Estimate", estimate=value, se=se, df=df, t=value / se, p=p, low=value - margin, high=value + margin
@@ -65,19 +60,34 @@ def find_uncertainty(
 ) -> tuple[optimum.State, Uncertainty]:
     """Compute how the fixed effects' covariance depends on the spreads, and how well those are known.
 
-    The spreads' covariance is 2 H⁻¹, H the second derivatives of the deviance before s is profiled out; directions in
-    which H is not positive carry no information and are left out, as lmerTest does. Newton's last step comes first.
+    The search stops where the deviance no longer falls but for rounding, 1e-5 or so beside the minimum: Newton's last
+    steps come first. The spreads' covariance is 2 H⁻¹, H the second derivatives of the deviance before s is profiled
+    out; directions in which H is not positive carry no information and are left out, as lmerTest does.
     """
     hessian, slopes = profile.differentiate(best)
     for _ in range(STEPS):
-        polished = optimum.polish(profile, best, hessian)
-        moved, best = np.abs(polished.theta - best.theta).max(), polished
-        if moved <= NEAR:
+        unit, slope = np.maximum(np.abs(best.theta), 1), profile.find_slope(best)
+        slope[profile.penalised] -= 2 / best.theta[profile.penalised]
+        # The residual's spread follows the others.
+        along = np.outer(hessian[:-1, -1], hessian[-1, :-1]) / hessian[-1, -1]
+        free = np.flatnonzero(best.theta != 0)
+        values, vectors = np.linalg.eigh((hessian[:-1, :-1] - along)[np.ix_(free, free)])
+        steep = values > FLAT
+        down = vectors[:, steep].T @ (slope * unit)[free] / values[steep]
+        step = np.zeros_like(best.theta)
+        step[free] = -(vectors[:, steep] @ down) * unit[free]
+        if not np.abs(step / unit).max(initial=0.0) < POLISH:
+            break
+        moved = profile.evaluate(best.theta + step)
+        if profile.target(moved) > profile.target(best) + ROUNDING:
+            break
+        best = moved
+        if np.abs(step).max(initial=0.0) <= NEAR:
             break
         hessian, slopes = profile.differentiate(best)
     effects, relative = profile.find_coefficients(best)
     values, vectors = np.linalg.eigh(hessian)
-    kept = values > optimum.FLAT
+    kept = values > FLAT
     parameters = 2 * (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     covariance = relative * profile.find_sigma(best) ** 2
     return best, Uncertainty(effects, covariance, slopes, parameters, most_df)
@@ -168,13 +178,6 @@ def fit_mixed(
         spread is zero or effects are perfectly tied; ``marginal_r2 conditional_r2``; ``fitted residuals``, (n_rows,),
         with the random effects; ``formula reml n_rows n_levels notes``.
 
-    Raises
-    ------
-    ValueError
-        If the formula cannot be read, a column is missing or has gaps, or the data cannot tell the effects apart.
-    TypeError
-        If the data are no DataFrame.
-
     Notes
     -----
     Model: y = X b + Z u + e, with u ~ N(0, G) independent between groups and levels, e ~ N(0, s² I). Do not use it for
@@ -218,8 +221,6 @@ def fit_mixed(
 
 def report_fit(formula: str, solved: Solved) -> MixedFit:
     """Compute everything about a fit that is for people."""
-    import pandas as pd
-
     profile, best, design = solved.profile, solved.best, solved.profile.design
     residual_sd, notes = profile.find_sigma(best), solved.note_zeros()
     spreads, ties = [], []
@@ -269,11 +270,6 @@ def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Statistic:
     Statistic
         ``estimate se df t p``, the value with its t test against 0 on Satterthwaite's degrees of freedom, and ``low
         high``, the 95 % interval.
-
-    Raises
-    ------
-    ValueError
-        If a term is not in the model, or no weight is other than 0.
 
     Notes
     -----

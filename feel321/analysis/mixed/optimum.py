@@ -13,44 +13,30 @@ Columns are scaled first: Z's to unit mean square, X to orthonormal columns, y t
 deviance is that of the data as given; results are scaled back.
 """
 
-from __future__ import annotations
-
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from threading import Lock
-from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dtrtri
+from scipy.optimize import minimize
+from scipy.sparse import csr_array
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+from feel321.analysis.mixed.design import Factor, MixedDesign
+from feel321.types import Samples
 
-    from feel321.analysis.mixed.design import Factor, MixedDesign
-    from feel321.types import Samples
+Codes = NDArray[np.intp]
 
-Codes: TypeAlias = "NDArray[np.intp]"
-
-MOST_LEVELS = 10_000
-"""Effects beside those of the unit: with more, the dense equations alone need gigabytes."""
-
-LARGE = 600
-"""Rows of a dense matrix from which two threads are worth their while; on smaller ones they wait for each other."""
-
-HELD = Lock()
-"""Taken by whoever set the limit of threads, which holds for the whole process; others leave it alone."""
-
+MOST_LEVELS = 10_000  # Effects beside the unit's: with more, the dense equations need gigabytes
+LARGE = 600  # Rows of a dense matrix from which on two threads do not wait for each other
+HELD = Lock()  # Taken by whoever set the limit of threads, which holds for the whole process
 ZERO = 1e-4  # A relative spread below this is none: what lme4 calls singular
 LARGEST = 1e5  # A spread so many times the residual means that there is no residual
 PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
-
-STEP = 1e-4
-"""Share of a relative spread, or of 1 if that is more, by which it is moved: beside 10 000, 0.0001 is rounding."""
-
-FLAT = 1e-8  # Curvature below this carries no information: a spread at its boundary
-POLISH, ROUNDING = 0.1, 1e-6
-"""Longest step, in units of a spread, that Newton's method may take from where the search stopped; what a deviance of
-some thousands is known to."""
+STEP = 1e-4  # Share of a relative spread, or of 1 if that is more, by which it is moved
 
 
 @dataclass(frozen=True)
@@ -99,7 +85,7 @@ class Spread:
     """L of some blocks' columns, and where these stand: L[rows, columns] = theta[places], 1 for the extra columns."""
 
     def __init__(self, blocks: Sequence[Block], *, extra: int = 0) -> None:
-        self.n_effects, self.first, parts = 0, dict[str, "Codes"](), [(np.empty(0, np.intp),) * 3]
+        self.n_effects, self.first, parts = 0, dict[str, Codes](), [(np.empty(0, np.intp),) * 3]
         for block in blocks:
             count = block.factor.n_levels if block.place is None else int(block.place.max()) + 1
             start = self.n_effects + len(block.scale) * np.arange(count)
@@ -208,8 +194,6 @@ class Profile:
 
     def _reduce_rows(self, unit: Factor, ends: Samples) -> None:
         """Keep only the cross products, of units that are alike once; ends: X and y, (n_rows, n_fixed + 1)."""
-        from scipy.sparse import csr_array
-
         size, tail = self.own.size, self.n_units * self.own.size
         width = tail + self.shared.size
         columns = [self.list_columns(block)[block.factor.index] for block in self.blocks]
@@ -243,8 +227,6 @@ class Profile:
 
     def evaluate(self, theta: Samples) -> State:
         """Factorise the equations at theta, (n_theta,)."""
-        from scipy.linalg.lapack import dpotrf
-
         blocks = self.own.around(self.inner, theta) + np.eye(self.own.size)
         roots = np.linalg.cholesky(blocks).diagonal(axis1=1, axis2=2)
         inner = np.linalg.inv(blocks).astype(np.float64, copy=False)
@@ -283,8 +265,6 @@ class Profile:
         The determinants of the leading parts of the dense matrix D, and those of the units' blocks, are all there is:
         d log |D_k| = tr(D_k⁻¹ dD), and d log rss = z' dD z with z = (-coefficients, 1) / sqrt(rss).
         """
-        from scipy.linalg.lapack import dtrtri
-
         theta, n_theta = state.theta, len(state.theta)
         size = self.n_random + (self.n_fixed if self.reml else 0)
         half = dtrtri(state.factor, lower=1)[0]
@@ -329,8 +309,6 @@ class Profile:
 
     def find_coefficients(self, state: State) -> tuple[Samples, Samples]:
         """Solve for the fixed effects, (n_fixed,), and their covariance in units of s²."""
-        from scipy.linalg import solve_triangular
-
         place = slice(self.n_random, -1)
         corner, last = state.factor[place, place], state.factor[-1, place]
         half = solve_triangular(corner, np.eye(self.n_fixed), lower=True).T
@@ -340,8 +318,6 @@ class Profile:
 
     def find_modes(self, state: State) -> list[Samples]:
         """Predict the random effects of every factor, (n_levels, width), in the order of the formula."""
-        from scipy.linalg import solve_triangular
-
         factor = state.factor
         solved = solve_triangular(factor[:-1, :-1], factor[-1, :-1], lower=True, trans="T")
         shared = self.shared.times(np.append(solved, 0.0), state.theta, turned=True)[:-1]
@@ -420,8 +396,6 @@ def find_optimum(profile: Profile) -> State:
 
 
 def _descend(profile: Profile, start: Samples) -> State:
-    from scipy.optimize import minimize
-
     held = profile.penalised
 
     def value(theta: Samples) -> tuple[float, Samples]:
@@ -445,25 +419,3 @@ def _descend(profile: Profile, start: Samples) -> State:
     settled = found * np.where(found[profile.of_spread] < 0, -1.0, 1.0)
     settled[profile.diagonal & (settled < ZERO) & ~held] = 0.0
     return profile.evaluate(settled)
-
-
-def polish(profile: Profile, state: State, hessian: Samples) -> State:
-    """Take Newton's last step from where the search stopped, with second derivatives as `differentiate` returns them.
-
-    The search stops where the deviance no longer falls but for rounding: 1e-5 or so beside the minimum.
-    """
-    unit = np.maximum(np.abs(state.theta), 1)
-    slope = profile.find_slope(state)
-    slope[profile.penalised] -= 2 / state.theta[profile.penalised]
-    # The residual's spread follows the others.
-    curvature = hessian[:-1, :-1] - np.outer(hessian[:-1, -1], hessian[-1, :-1]) / hessian[-1, -1]
-    free = np.flatnonzero(state.theta != 0)
-    values, vectors = np.linalg.eigh(curvature[np.ix_(free, free)])
-    steep = values > FLAT
-    down = vectors[:, steep].T @ (slope * unit)[free] / values[steep]
-    step = np.zeros_like(state.theta)
-    step[free] = -(vectors[:, steep] @ down) * unit[free]
-    if not np.abs(step / unit).max(initial=0.0) < POLISH:
-        return state
-    moved = profile.evaluate(state.theta + step)
-    return moved if profile.target(moved) <= profile.target(state) + ROUNDING else state

@@ -1,18 +1,26 @@
-"""How large must a study be? The closed form searches, simulated studies fitted by the primary model check."""
+"""How large must a study be? The closed form searches, simulated studies fitted by the primary model check.
+
+Every study has its own seed, of the seed given, the design and its place: any number of workers gives the same numbers.
+A study of 16 people and 72 stimuli takes half a second.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from hashlib import sha256
+from itertools import count, product
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
-from feel321.analysis.power.closed import ClosedForm
-from feel321.analysis.power.design import LEAST, SIZES, PowerDesign
-from feel321.analysis.power.simulate import SIMULATED, tabulate_shares
-from feel321.analysis.primary.plan import SCENE, SOURCE
+from feel321 import jobs
+from feel321.analysis.mixed.optimum import hold_threads
+from feel321.analysis.power.design import LEAST, LEVEL, SIZES, ClosedForm, PowerDesign, Stimuli
+from feel321.analysis.primary.model import adjust_holm, fit_slopes
+from feel321.analysis.primary.plan import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO, make_cells
+from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.analysis.words import ABSENT, format_count
 from feel321.types import Samples
 
@@ -22,15 +30,10 @@ FACTORS: Mapping[str, tuple[float, ...]] = {
 """Sizes that are tried, as multiples of the given ones."""
 
 REPEATS = (1, 2, 3, 4)
-
-TRIED = 8
-"""Designs that are simulated in search of one whose simulation does not contradict the closed form."""
-
+CHUNK = 50  # Simulated studies of one job
+TRIED = 8  # Designs that are simulated in search of one that its simulation does not refute
 STEP = 0.8  # Share of a refuted design's detectable slope that the next one must detect
-
-LEAST_TESTED = 0.9
-"""Share of simulated studies that must give a test, for a simulation to confirm a design."""
-
+LEAST_TESTED = 0.9  # Share of simulated studies that must give a test, to confirm a design
 SURE, HOPELESS = 0.99, 0.01
 
 ENOUGH, NOTHING, UNTESTABLE, CEILING, REFUTED, SMALL = (
@@ -38,17 +41,15 @@ ENOUGH, NOTHING, UNTESTABLE, CEILING, REFUTED, SMALL = (
 )  # fmt: skip
 """Verdicts: a design is enough; or none is, and why (ceiling: no number of participants is)."""
 
-Simulate = Callable[[PowerDesign], "Samples"]
-"""Gives p of every test of simulated studies, (studies, n_hypotheses)."""
+Simulate = Callable[[PowerDesign], Samples]  # Gives p of every test, (studies, n_hypotheses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Power:
     """The power of one design: a row per hypothesis.
 
-    ``attribute metric slope`` (planted, per unit of the metric); in closed form ``se df width`` (of the 95 % interval),
-    ``power`` (Holm's first step), ``ceiling`` (with participants without end), ``detectable`` (smallest slope found
-    with the wanted power), ``recordings_needed``; and by simulation the columns of `tabulate_shares`.
+    ``attribute metric slope`` (planted, per unit of the metric); what `ClosedForm.describe` gives, with the power of
+    Holm's first step; ``recordings_needed``; and by simulation the columns of `tabulate_shares`.
     """
 
     design: PowerDesign
@@ -65,7 +66,6 @@ class Power:
 
 def find_power(design: PowerDesign, simulate: Simulate | None = None) -> Power:
     """Find the power of a design, in closed form and, where something simulates, in simulated studies."""
-    truth = design.truth
     forms = {metric: ClosedForm(design, place) for place, metric in enumerate(design.metrics)}
     notes = [f"Standard deviations: {design.truth.source}."]
     if len(design.hypotheses) > 1:
@@ -84,12 +84,10 @@ def find_power(design: PowerDesign, simulate: Simulate | None = None) -> Power:
         notes.append(f"Several recordings come from one source; {lower}.")
     rows = []
     for attribute, metric in design.hypotheses:
-        form, slope = forms[metric], truth.find_slope(attribute, metric)
-        se, df = form.find_error()
+        form, slope = forms[metric], design.truth.find_slope(attribute, metric)
         rows.append({
-            "attribute": attribute, "metric": metric, "slope": slope, "se": se, "df": df,
-            "width": form.find_width(), "power": form.find_power(slope), "ceiling": form.find_ceiling(slope),
-            "detectable": form.find_detectable(), "recordings_needed": form.find_recordings(slope),
+            "attribute": attribute, "metric": metric, "slope": slope, **form.describe(slope),
+            "recordings_needed": form.find_least("recordings", slope),
         })  # fmt: skip
         if slope and (lack := form.find_lack()):
             notes.append(f"The planted slope of {metric} on {attribute} cannot be tested: {lack}.")
@@ -106,9 +104,10 @@ class PowerPlan:
 
     table: a row per design: ``participants recordings reducers repeats trials`` (of one person), ``kind`` (given, one
     factor, grid, smallest), of the hypothesis that the recommendation is for, in closed form ``power ceiling detectable
-    width``, by simulation where it was simulated `SIMULATED`, ``enough`` (in closed form, at least the wanted power),
-    ``refuted`` and ``recommended``. powers: the given design, and those that were simulated. recommended: the smallest
-    that is enough. verdict: one of `ENOUGH` and so on. lack: why the given design cannot test the hypothesis.
+    width``, by simulation where it was simulated ``simulated`` with its ends, ``enough`` (in closed form, at least the
+    wanted power), ``refuted`` and ``recommended``. powers: the given design, and those that were simulated.
+    recommended: the smallest that is enough. verdict: one of `ENOUGH` and so on. lack: why the given design cannot test
+    the hypothesis.
     """
 
     table: pd.DataFrame
@@ -142,16 +141,18 @@ def plan_power(
     Where its simulation refutes it, the next one is simulated that detects a slope at least a fifth smaller, or where
     there is none the one that detects the smallest; up to 8 of them.
     """
-    forms = [ClosedForm(design, place) for place in range(len(design.metrics))]
-
-    def find_weakness(aim: int) -> tuple[bool, float]:
-        attribute, metric = design.hypotheses[aim]
-        form = forms[design.metrics.index(metric)]
-        power = form.find_power(design.truth.find_slope(attribute, metric))
-        return math.isnan(power), power
-
-    aim = min(aims, key=find_weakness)
-    designs, table = _tabulate_designs(design, sizes, aim)
+    slopes = [design.truth.find_slope(*hypothesis) for hypothesis in design.hypotheses]
+    # Hypotheses are attribute by attribute, each with every metric.
+    forms = [ClosedForm(design, place % len(design.metrics)) for place in range(len(slopes))]
+    own = [form.find_power(slope) for form, slope in zip(forms, slopes, strict=True)]
+    aim = min(aims, key=lambda one: (math.isnan(own[one]), own[one]))
+    slope = slopes[aim]
+    tried = list(_list_forms(forms[aim], sizes, slope))
+    table = pd.DataFrame([
+        {**form.design.sizes, "trials": form.design.trials, "kind": kind, **form.describe(slope)}
+        for kind, form in tried
+    ]).drop(columns=["se", "df"])  # fmt: skip
+    table["enough"] = table["power"] >= design.wanted
     ranked = table.assign(
         changed=sum((table[name] != design.sizes[name]).astype(int) for name in SIZES[1:]),
         cost=table["trials"] * table["participants"],
@@ -165,104 +166,76 @@ def plan_power(
             break
         strongest = min(left, key=lambda place: detectable[place])
         place = next((one for one in left if detectable[one] <= most), strongest)
-        known = (one for one in powers if one.design.sizes == designs[place].sizes)
-        power = next(known, None) or find_power(designs[place], simulate)
+        candidate = tried[place][1].design
+        known = (one for one in powers if one.design.sizes == candidate.sizes)
+        power = next(known, None) or find_power(candidate, simulate)
         powers += [] if power in powers else [power]
         if not power.is_refuted(aim):
             chosen = place
             break
         left = [one for one in left if detectable[one] < detectable[place]]
         most = detectable[place] * STEP
+    columns = ["simulated", "simulated_low", "simulated_high"]
     runs = pd.DataFrame([
-        one.design.sizes | {"refuted": one.is_refuted(aim)} | one.table[list(SIMULATED)].loc[aim].to_dict()
+        one.design.sizes | {"refuted": one.is_refuted(aim)} | one.table[columns].loc[aim].to_dict()
         for one in powers
     ])  # fmt: skip
     table = table.merge(runs, how="left", on=list(SIZES))
     table["refuted"] = table["refuted"].eq(True)  # noqa: FBT003 - what was not simulated is not refuted
     table["recommended"] = table.index == (-1 if chosen is None else chosen)
+    refuted = table[table["enough"] & table["refuted"]]
+    verdicts = {
+        ENOUGH: chosen is not None,
+        NOTHING: not slope,
+        UNTESTABLE: table["power"].isna().all(),
+        REFUTED: len(refuted) > 0,
+        SMALL: table["ceiling"].max() >= design.wanted,
+        CEILING: True,
+    }
     notes = [note for power in powers for note in power.notes]
-    metric = design.metrics.index(design.hypotheses[aim][1])
+    notes += [
+        f"Simulation contradicts the closed form of {row['participants']} participants, "
+        f"{describe_units(row['recordings'], row['reducers'])}: {format_power(row['power'])} in closed form, "
+        f"{format_power(row['simulated']).replace('not estimable', 'no test')} in simulated studies."
+        for row in refuted.to_dict("records")
+    ]
     return PowerPlan(
         table=table, powers=tuple(powers), hypothesis=design.hypotheses[aim],
-        recommended=None if chosen is None else designs[chosen], verdict=_judge(table, powers[0], aim),
-        lack=forms[metric].find_lack(), notes=tuple(dict.fromkeys([*notes, *_note_refuted(table)])),
+        recommended=None if chosen is None else tried[chosen][1].design,
+        verdict=next(verdict for verdict, holds in verdicts.items() if holds),
+        lack=forms[aim].find_lack(), notes=tuple(dict.fromkeys(notes)),
     )  # fmt: skip
 
 
-def _tabulate_designs(
-    design: PowerDesign, sizes: Mapping[str, Sequence[int]], aim: int
-) -> tuple[list[PowerDesign], pd.DataFrame]:
-    """Compute designs in closed form; the first with its recordings, reducers and repeats, with fewest people too."""
-    attribute, metric = design.hypotheses[aim]
-    slope, place = design.truth.find_slope(attribute, metric), design.metrics.index(metric)
-    designs: list[PowerDesign] = []
-    rows: list[dict[str, Any]] = []
+def _list_forms(
+    given: ClosedForm, wanted: Mapping[str, Sequence[int]], slope: float
+) -> Iterator[tuple[str, ClosedForm]]:
+    """List the given design, others by one factor at a time, and participants x recordings; each once.
 
-    def compute(one: PowerDesign, kind: str) -> ClosedForm:
-        form = ClosedForm(one, place)
-        power = form.find_power(slope)
-        designs.append(one)
-        rows.append({
-            **one.sizes, "trials": one.trials, "kind": kind, "power": power, "ceiling": form.find_ceiling(slope),
-            "detectable": form.find_detectable(), "width": form.find_width(), "enough": power >= one.wanted,
-        })  # fmt: skip
-        return form
-
-    known: set[tuple[int, ...]] = set()
-    for kind, one in _list_designs(design, sizes):
-        form, others = compute(one, kind), (one.recordings, one.reducers, one.repeats)
-        if others in known:
-            continue
-        known.add(others)
-        number = form.find_participants(slope)
-        if math.isfinite(number) and number != one.participants:
-            compute(replace(one, participants=int(number)), "smallest")
-    return designs, pd.DataFrame(rows)
-
-
-def _list_designs(
-    design: PowerDesign, wanted: Mapping[str, Sequence[int]]
-) -> Iterator[tuple[str, PowerDesign]]:
-    """List the given design, others by one factor at a time, and participants x recordings; each once."""
+    The first with its recordings, reducers and repeats comes with the fewest people that are enough, too.
+    """
     sizes: dict[str, Sequence[int]] = {"repeats": REPEATS}
     for name, factors in FACTORS.items():
-        own = design.sizes[name]
+        own = given.design.sizes[name]
         least = min(LEAST[name], own)
         sizes[name] = sorted({max(least, round(own * factor)) for factor in factors})
-    sizes |= {name: sorted(set(given)) for name, given in wanted.items() if given}
+    sizes |= {name: sorted(set(asked)) for name, asked in wanted.items() if asked}
     changes = [("given", dict[str, int]())]
     changes += [("one factor", {name: size}) for name in SIZES for size in sizes[name]]
     pairs = product(sizes["participants"], sizes["recordings"])
     changes += [("grid", {"participants": one, "recordings": two}) for one, two in pairs]
-    seen: list[dict[str, int]] = []
+    seen, known = list[dict[str, int]](), set[tuple[int, ...]]()
     for kind, change in changes:
-        other = replace(design, **change)  # type: ignore[arg-type]  # sizes are numbers
-        if other.sizes not in seen:
-            seen.append(other.sizes)
-            yield kind, other
-
-
-def _judge(table: pd.DataFrame, given: Power, aim: int) -> str:
-    """Say whether a design is enough, or why none is."""
-    verdicts = {
-        ENOUGH: table["recommended"].any(),
-        NOTHING: not given.table["slope"].iloc[aim],
-        UNTESTABLE: table["power"].isna().all(),
-        REFUTED: (table["enough"] & table["refuted"]).any(),
-        SMALL: table["ceiling"].max() >= given.design.wanted,
-        CEILING: True,
-    }
-    return next(one for one, holds in verdicts.items() if holds)
-
-
-def _note_refuted(table: pd.DataFrame) -> Iterator[str]:
-    for row in table[table["enough"] & table["refuted"]].to_dict("records"):
-        units = describe_units(row["recordings"], row["reducers"])
-        share = format_power(row["simulated"]).replace("not estimable", "no test")
-        yield (
-            f"Simulation contradicts the closed form of {row['participants']} participants, {units}: "
-            f"{format_power(row['power'])} in closed form, {share} in simulated studies."
-        )
+        design = replace(given.design, **change)  # type: ignore[arg-type]  # sizes are numbers
+        if design.sizes in seen:
+            continue
+        seen.append(design.sizes)
+        form, units = ClosedForm(design, given.place), tuple(design.sizes.values())[1:]
+        yield kind, form
+        number = math.nan if units in known else form.find_least("participants", slope)
+        known.add(units)
+        if math.isfinite(number) and number != design.participants:
+            yield "smallest", replace(form, design=replace(design, participants=int(number)))
 
 
 def format_power(power: float) -> str:
@@ -285,3 +258,95 @@ def format_simulated(row: Mapping[Any, Any], otherwise: str = ABSENT) -> str:
 def describe_units(recordings: int, reducers: int) -> str:
     """Describe how many stimuli a design has."""
     return f"{format_count(recordings, 'recording')} × {format_count(reducers, 'reducer')}"
+
+
+# Simulated studies: ratings are drawn with the planted truth, and the primary model is fitted.
+
+
+def draw_ratings(design: PowerDesign, stimuli: Stimuli, rng: np.random.Generator) -> Samples:
+    """Draw ratings with the planted slopes and spreads, (n_attributes, people, n_items, repeats)."""
+    truth, (people_sds, scene_sds) = design.truth, design.slope_sds
+    people, scene, kind, n = design.participants, stimuli.scene, stimuli.kind, len(stimuli.scene)
+    scenes, kinds, metrics = scene.max() + 1, kind.max() + 1, stimuli.metrics.shape[1]
+
+    def draw(spread: float, *shape: int) -> Samples:
+        return rng.normal(0, spread, (len(design.attributes), *shape))
+
+    everybody = truth.mean + draw(truth.item_sd, 1, n)
+    everybody += draw(truth.recording_sd, 1, scenes)[..., scene]
+    everybody += draw(truth.reducer_sd, 1, kinds)[..., kind]
+    own = draw(truth.person_sd, people, 1) + draw(truth.person_item_sd, people, n)
+    own += draw(truth.person_recording_sd, people, scenes)[..., scene]
+    own += draw(truth.person_reducer_sd, people, kinds)[..., kind]
+    own += (draw(1.0, people, metrics) * people_sds) @ stimuli.within.T
+    theirs = (draw(1.0, scenes, metrics) * scene_sds)[:, scene]
+    everybody += (theirs * stimuli.within).sum(axis=-1)[:, None]
+    points = (everybody + own)[..., None] + draw(truth.rating_sd, people, n, design.repeats)
+    centred = stimuli.metrics - design.stimuli.metrics.mean(axis=0)
+    found = [truth.find_slope(*hypothesis) for hypothesis in design.hypotheses]
+    slopes = np.array(found, np.float64).reshape(len(design.attributes), -1)
+    points += (slopes @ centred.T)[:, None, :, None]
+    if truth.step:
+        points = np.round(points / truth.step) * truth.step
+    return points.clip(LOWEST, HIGHEST) if truth.bounded else points
+
+
+def simulate_studies(
+    design: PowerDesign,
+    *,
+    studies: int,
+    seed: int = 0,
+    workers: int | jobs.Workers = 1,
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> Samples:
+    """Simulate studies: p of every test, (studies, n_hypotheses)."""
+    listed = [design.items.to_csv(index=False), design.metrics, design.attributes, design.sizes]
+    key = int(sha256(repr(listed).encode()).hexdigest()[:16], 16)
+    chunks = [range(start, min(start + CHUNK, studies)) for start in range(0, studies, CHUNK)]
+    todo: list[jobs.Job] = [(_fit_studies, (design, [seed, key], places), {}) for places in chunks]
+    steps = count(1)
+    progress(0, len(todo))
+    found = jobs.gather_results(
+        todo, workers=workers, done=lambda: progress(next(steps), len(todo))
+    )
+    return np.concatenate([np.empty((0, len(design.hypotheses))), *found])
+
+
+@hold_threads(0)
+def _fit_studies(design: PowerDesign, seed: list[int], places: range) -> Samples:
+    """Draw studies and fit every attribute: p of every test, NaN without one; (studies, n_hypotheses)."""
+    metrics, found = design.metrics, list[float]()
+    for place in places:
+        rng = np.random.default_rng([*seed, place])
+        stimuli = design.draw(rng)
+        drawn = draw_ratings(design, stimuli, rng)
+        who, item, _ = (axis.ravel() for axis in np.indices(drawn.shape[1:]))
+        table = pd.DataFrame({
+            WHO: who, SCENE: stimuli.scene[item], REDUCER: stimuli.kind[item], ITEM: item,
+            SOURCE: stimuli.source[item], **dict(zip(metrics, stimuli.metrics[item].T, strict=True)),
+        })  # fmt: skip
+        for ratings in drawn:
+            try:
+                cells = make_cells(table.assign(**{RATING: ratings.ravel()}), metrics)
+                found += fit_slopes(cells).table["p"].reindex(metrics).tolist()
+            except (ValueError, np.linalg.LinAlgError):  # all ratings alike, or too few units
+                found += [math.nan] * len(metrics)
+    return np.array(found, np.float64).reshape(len(places), len(design.hypotheses))
+
+
+def tabulate_shares(p: Samples) -> pd.DataFrame:
+    """Tabulate the share of studies that find each slope by Holm's method; p: (studies, n_hypotheses).
+
+    ``simulated`` with its 95 % Wilson interval ``simulated_low simulated_high``, NaN without studies; ``tests``: the
+    studies that gave a test.
+    """
+    adjusted = np.array([adjust_holm(row) for row in p.tolist()]).reshape(p.shape)
+    rows = []
+    for column in adjusted.T:
+        known = int(np.isfinite(column).sum())
+        share = low = high = math.nan
+        if known:
+            found = binomtest(int((column < LEVEL).sum()), known)
+            share, (low, high) = float(found.statistic), found.proportion_ci(method="wilson")
+        rows.append((share, float(low), float(high), known))
+    return pd.DataFrame(rows, columns=["simulated", "simulated_low", "simulated_high", "tests"])

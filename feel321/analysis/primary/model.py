@@ -7,7 +7,7 @@ The model here holds every source of spread that the design has, and is reduced 
 each time in words; never because a test says that a spread may be zero.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import NamedTuple
 
@@ -18,6 +18,7 @@ from feel321.analysis.mixed.design import build_design
 from feel321.analysis.mixed.model import Solved, report_fit, solve_design
 from feel321.analysis.primary.plan import (
     ALIKE,
+    FLAT,
     ITEM,
     LEVEL,
     LEVELS,
@@ -28,23 +29,19 @@ from feel321.analysis.primary.plan import (
     WHO,
     Cells,
     Terms,
-    centre_twice,
     make_cells,
     plan_terms,
+    take_out,
 )
 from feel321.analysis.table.items import Table, choose_arms, choose_metrics, open_ratings
 from feel321.records import Statistic
 
 TENTH = 0.1
-FEW = 5
-"""Fewer participants, recordings (or sources of them) or reducers than this leave their spread all but unknown."""
-
+FEW = 5  # Fewer people, recordings (or sources) or reducers leave their spread all but unknown
 FEWEST, FEWEST_DF = 3, 2.0
 """Participants, recordings (or sources of them) and reducers; degrees of freedom. With fewer, no slope is estimable."""
 
-TESTED = ("se", "df", "t", "p", "low", "high")
-"""Columns of an estimate that mean nothing where it is not estimable."""
-
+TESTED = ("se", "df", "t", "p", "low", "high")  # What is NaN where it is not estimable
 CENTRED = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED if name != "t"}}
 """Column of an estimate -> that of the slope which is centred on recordings and on reducers."""
 
@@ -63,14 +60,7 @@ class Primaries(Statistic):
     __slots__ = ()
 
     def to_frame(self) -> pd.DataFrame:
-        """Return all slopes, with p adjusted for their number.
-
-        Returns
-        -------
-        DataFrame
-            attribute, metric, the columns of a Primary's slopes, and p_holm: Holm's step-down adjustment over all
-            rows that are estimable, which holds the chance of any false positive among them.
-        """
+        """Return all slopes, with p adjusted for their number: ``p_holm``, over all rows that are estimable."""
         return tabulate_slopes(self)
 
 
@@ -149,12 +139,6 @@ def fit_primary(
         carry, and why; ``model_frame``, the table fitted; ``penalty``; ``level``, what became of level (``in_model``,
         ``metric``, ``alike`` or ``unknown``); ``notes``.
 
-    Raises
-    ------
-    ValueError
-        If the table is not as described, mixes several scales or levels, ratings or all metrics are constant, or too
-        few rows are left for any model.
-
     Notes
     -----
     For metrics a and b:
@@ -211,13 +195,21 @@ def fit_primary(
     if explain and level == IN_MODEL:
         bare = fit_slopes(cells.ignore_level(), reducers=reducers).table
         plain = bare[["estimate", "p"]].set_axis(["plain", "plain_p"], axis=1)
+    differences, scales = [], _find_scales(cells, terms)
+    for first, second in combinations(scales, 2):
+        row: dict[str, object] = {"first": first, "second": second}
+        both = {"": (1.0, 1.0), "standardised_": (scales[first], scales[second])}
+        for prefix, (one, other) in both.items():
+            estimate = found.solved.estimate({f"{first}_w": one, f"{second}_w": -other})
+            row |= {f"{prefix}{name}": value for name, value in _blank(estimate, lack=lack).items()}
+        differences.append(row)
     between = [name for name in terms.fixed if name[-2:] == "_b"]
     rows_between = [_blank(found.solved.estimate({name: 1.0}), lack=lack) for name in between]
     index = pd.Index([name[:-2] for name in between], name="metric", dtype=object)
     return Primary(
         "Primary", slopes=found.table.join([centred, plain]),
         between=pd.DataFrame(rows_between, index=index, columns=["estimate", *TESTED]),
-        differences=_tabulate_differences(found), formula=terms.formula, fit=fit, marginal_r2=fit.marginal_r2,
+        differences=pd.DataFrame(differences), formula=terms.formula, fit=fit, marginal_r2=fit.marginal_r2,
         conditional_r2=fit.conditional_r2, item_variance_explained=explained, averaged=cells.averaged,
         n_rows=fit.n_rows, n_participants=cells.count(WHO), n_recordings=cells.count(SCENE), n_items=cells.count(ITEM),
         n_sources=cells.n_sources, n_reducers=cells.count(REDUCER),
@@ -248,24 +240,6 @@ def fit_attributes(
     -------
     Primaries
         Attribute -> its model, in alphabetical order.
-
-    Raises
-    ------
-    ValueError
-        If there is no such column, or as for `fit_primary`.
-
-    Examples
-    --------
-    >>> import numpy as np, pandas as pd
-    >>> from feel321 import analysis
-    >>> rng = np.random.default_rng(1)
-    >>> who, what = (part.ravel() for part in np.meshgrid(range(8), range(24), indexing="ij"))
-    >>> rows = pd.DataFrame({"participant": who, "recording": what // 4, "reducer": what % 4, "item": what,
-    ...     "match": rng.uniform(0, 1, 24)[what], "scale": "realism"})
-    >>> rows["rating"] = 30 + 40 * rows["match"] + rng.normal(0, 5, 8)[who] + rng.normal(0, 8, 192)
-    >>> analysis.fit_attributes(rows, ["match"]).to_frame()[["attribute", "metric", "tenth"]].round(1)
-      attribute metric  tenth
-    0   realism  match    4.1
     """
     rows, names = open_ratings(table), choose_metrics(table, metrics)
     several = attribute is None and "level" in rows and len(rows["level"].unique()) > 1
@@ -328,19 +302,6 @@ def _find_scales(cells: Cells, terms: Terms) -> dict[str, float]:
     return {name[:-2]: float(cells.table[name].std() / spread) for name in within}
 
 
-def _tabulate_differences(found: Slopes) -> pd.DataFrame:
-    rows, lack = [], _find_lack(found.cells)
-    scales = _find_scales(found.cells, found.terms)
-    for first, second in combinations(scales, 2):
-        row: dict[str, object] = {"first": first, "second": second}
-        both = {"": (1.0, 1.0), "standardised_": (scales[first], scales[second])}
-        for prefix, (one, other) in both.items():
-            estimate = found.solved.estimate({f"{first}_w": one, f"{second}_w": -other})
-            row |= {f"{prefix}{name}": value for name, value in _blank(estimate, lack=lack).items()}
-        rows.append(row)
-    return pd.DataFrame(rows)
-
-
 def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[pd.DataFrame, list[str]]:
     """Estimate slopes with reducers as fixed effects and metrics centred on recordings and on reducers."""
     cells, terms, within = found.cells, found.terms, found.table.index
@@ -351,8 +312,16 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[pd.DataFrame, list[s
     names, lack = [f"{name}_w" for name in within], _find_lack(cells)
     random = tuple(one for one in terms.random if one != term)
     fixed = Terms((*terms.fixed, REDUCER), random, ())
+    # Out of the metrics, over stimuli, what their recording and their reducer give.
+    items = cells.table.drop_duplicates(ITEM).set_index(ITEM)
+    values = items[names].to_numpy(np.float64)
+    left = take_out(items[[SCENE, REDUCER]], values)
+    left *= np.abs(left).max(axis=0) > FLAT * np.abs(values).max(axis=0)
+    place = items.index.get_indexer(cells.table[ITEM].array)
+    centred = {name: own[place] for name, own in zip(names, left.T, strict=True)}
+    centred[REDUCER] = cells.table[REDUCER].astype(str).to_numpy()
     try:
-        design = build_design(fixed.formula, centre_twice(cells.table, names))
+        design = build_design(fixed.formula, cells.table.assign(**centred))
         solved = solve_design(design, most_df=terms.most_df)
     except ValueError as error:
         return table, [f"No slopes centred on reducers: {error}"]
@@ -396,43 +365,3 @@ def _note_limits(found: Slopes, lack: str) -> Iterator[str]:
     for name in found.table.index[~found.table["estimable"]]:
         few = f"with fewer than {FEWEST_DF:g} degrees of freedom"
         yield f"The slope of {name} is not estimable {lack or few}: it has no test and no interval."
-
-
-# The model as code for R: the formula of lme4, and the penalty that lme4 does not have.
-
-PENALISED = """\
-# Few reducers: their spread would often be estimated as 0 when it is only unknown. As feel321 does, -2 log(SD of the
-# group) is added to the REML criterion (Chung et al. 2013, doi:10.1007/s11336-013-9328-2), which lme4 cannot.
-lmer_penalised <- function(formula, data, group) {
-  parts <- lFormula(formula, data = data, REML = TRUE)      # the model's matrices
-  criterion <- do.call(mkLmerDevfun, parts)                 # REML criterion by relative spreads (theta)
-  state <- environment(criterion)
-  place <- which(names(parts$reTrms$cnms) == group)         # one theta per term: effects are uncorrelated
-  objective <- function(theta) {
-    value <- criterion(theta)
-    value - log(state$resp$wrss() + state$pp$sqrL(1)) - 2 * log(theta[place])
-  }
-  lower <- parts$reTrms$lower
-  lower[place] <- 1e-6
-  best <- minqa::bobyqa(parts$reTrms$theta, objective, lower = lower, control = list(rhoend = 1e-8, maxfun = 1e5))
-  value <- criterion(best$par)
-  found <- list(par = best$par, fval = value, feval = best$feval, conv = 0)
-  mkMerMod(state, found, parts$reTrms, parts$fr)
-}
-"""
-
-
-def write_r_string(text: str) -> str:
-    """Quote text for R, in ASCII."""
-    quoted = text.replace("\\", "\\\\").replace('"', '\\"')
-    letters = (c if c.isascii() and c.isprintable() else f"\\U{ord(c):08x}" for c in quoted)
-    return f'"{"".join(letters)}"'.replace("\\U0000", "\\u")
-
-
-def write_fit(formula: str, data: str, *, penalty: Iterable[str] = ()) -> str:
-    """Write the line that fits a model; `PENALISED` must stand before it where a spread is penalised."""
-    if groups := ", ".join(map(write_r_string, penalty)):
-        return f"lmer_penalised({formula}, {data}, {groups})"
-    # lme4's defaults stop at 1e-4 or so of a standard error; these limits take a moment longer.
-    control = 'lmerControl("bobyqa", optCtrl = list(rhoend = 1e-8, maxfun = 1e5))'
-    return f"lmer({formula}, data = {data}, REML = TRUE, control = {control})"

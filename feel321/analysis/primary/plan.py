@@ -9,15 +9,16 @@ recordings, anything that differs with the scene goes along. Means are over the 
 each counted once however often it was rated, so that nothing left out comes back through them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pandas import DataFrame
 
 from feel321.analysis.arrays import check_columns
 from feel321.analysis.table.items import (
@@ -31,19 +32,11 @@ from feel321.analysis.table.items import (
     refuse_pooled,
     refuse_unnamed,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from numpy.typing import NDArray
-    from pandas import DataFrame
-
-    from feel321.types import Samples
+from feel321.types import Samples
 
 WHO, SCENE, ITEM, RATING = "participant", "recording", "item", "rating"
 SOURCE, REDUCER = "source", "reducer"
 KEYS = (WHO, SCENE, ITEM)
-
 ALIKE = f"{SOURCE}:{REDUCER}"  # Stimuli of one source that were reduced alike
 LEVEL = "level_db"  # Level of a stimulus less the mean of its recording's: a term of the model, and no hypothesis
 AMPLITUDE = "rms_m_s2"
@@ -53,11 +46,8 @@ LEVELS = ("sensation_level_db", AMPLITUDE, "level_difference")
 LEAST_DB = 0.5  # Levels within recordings that differ by less are alike: nobody feels it
 FLAT = 1e-10  # Share of a metric's size below which its spread is rounding
 DEPENDENT = 1e-8  # Share of a column's spread below which what others leave of it is rounding
-MOST_LEVELS = 800
-"""Levels beside those of participant x item up to which single ratings are fitted; the time grows with their cube."""
-
-FEW_REDUCERS = 8
-"""Fewer reducers than this get the boundary-avoiding penalty: their spread is estimated as 0 too often."""
+MOST_LEVELS = 800  # Levels up to which single ratings are fitted; the time grows with their cube
+FEW_REDUCERS = 8  # Fewer get the boundary-avoiding penalty: their spread is often estimated as 0
 
 
 @dataclass(frozen=True)
@@ -77,11 +67,11 @@ class Cells:
     rough: bool = False
     notes: tuple[str, ...] = ()
 
-    def ignore_level(self) -> Cells:
+    def ignore_level(self) -> "Cells":
         """Return the same cells as if no level were known."""
         return replace(self, table=self.table.drop(columns=LEVEL, errors="ignore"))
 
-    def leave_out(self, column: str, *names: object) -> Cells:
+    def leave_out(self, column: str, *names: object) -> "Cells":
         """Leave out participants, or stimuli by a column, and split the metrics anew over what is left."""
         units = self.ratings if column == WHO else self.items
         gone = units[column].isin(names)
@@ -117,10 +107,10 @@ class Cells:
             combined = combined * (len(self.table) + 1) + self._codes[name]
         return len(np.unique(combined))
 
-    def mark(self, name: str, rows: Samples | NDArray[np.intp]) -> Samples:
+    def mark(self, name: str, rows: NDArray[Any]) -> Samples:
         """Mark the level of some rows of the table: (n_rows, n_levels)."""
         codes = self._codes[name]
-        marks: Samples = np.eye(int(codes.max()) + 1)[codes[rows.astype(np.intp)]]
+        marks: Samples = np.eye(int(codes.max()) + 1)[codes[rows]]
         return marks
 
 
@@ -220,22 +210,9 @@ def arrange_cells(
 
 def take_out(groups: DataFrame, values: Samples) -> Samples:
     """Take out of values what their groups give: what a regression on indicators of the groups leaves."""
-    import pandas as pd
-
     dummies = pd.get_dummies(groups.astype(str)).to_numpy(np.float64)
     left: Samples = values - dummies @ np.linalg.lstsq(dummies, values, rcond=None)[0]
     return left
-
-
-def centre_twice(table: DataFrame, names: Sequence[str]) -> DataFrame:
-    """Take out of metrics what their recording and their reducer give, over stimuli."""
-    items = table.drop_duplicates(ITEM).set_index(ITEM)
-    values = items[list(names)].to_numpy(np.float64)
-    left = take_out(items[[SCENE, REDUCER]], values)
-    left *= np.abs(left).max(axis=0) > FLAT * np.abs(values).max(axis=0)
-    place = items.index.get_indexer(table[ITEM].array)
-    centred = {name: own[place] for name, own in zip(names, left.T, strict=True)}
-    return table.assign(**{REDUCER: table[REDUCER].astype(str)}, **centred)
 
 
 @dataclass(frozen=True, slots=True)
@@ -258,10 +235,16 @@ def plan_terms(cells: Cells, *, correlated: bool, reducers: bool) -> Terms:
     """Choose the terms of the primary model."""
     fixed, reductions = _plan_fixed(cells)
     slopes = [name for name in fixed if name.endswith("_w")]
-    free = _count_free(cells, [name for name in fixed if name in {*slopes, LEVEL}])
+    free = 0  # Differences between reducers that neither recordings nor slopes account for
+    if REDUCER in cells.table:
+        rows = cells.rated.index.to_numpy()
+        values = cells.rated[[name for name in fixed if name in {*slopes, LEVEL}]].to_numpy(float)
+        # Each in units of its spread, so that none counts as rounding.
+        others = np.hstack([cells.mark(SCENE, rows), values / values.std(axis=0)])
+        both = np.hstack([others, cells.mark(REDUCER, rows)])
+        free = int(np.linalg.matrix_rank(both) - np.linalg.matrix_rank(others))
     chosen = [
-        *_plan_people(cells, slopes, bar="|" if correlated else "||"),
-        *_plan_scenes(cells, slopes),
+        *_plan_units(cells, slopes, bar="|" if correlated else "||"),
         *(_plan_reducers(cells, slopes, free) if reducers else ()),
     ]
     random = tuple(term for term, lack in chosen if not lack)
@@ -290,16 +273,14 @@ def find_most_df(recordings: int) -> float:
 
 def _plan_fixed(cells: Cells) -> tuple[list[str], list[str]]:
     """Choose the fixed effects: metrics within recordings, between them, and level; also say which are left out."""
-    values = {
-        name: cells.rated[name].to_numpy(np.float64)
-        for name in map(str, cells.rated)
-        if name[-2:] in {"_w", "_b"} or name == LEVEL
-    }
+    names = [f"{name}{part}" for part in ("_w", "_b") for name in cells.metrics]
+    names += [LEVEL] * (LEVEL in cells.table)
+    values = dict(zip(names, cells.rated[names].to_numpy(np.float64).T, strict=True))
     reductions: list[str] = []
 
-    def varies(metric: str, part: str) -> bool:
-        size = float(np.abs(values[f"{metric}_w"] + values[f"{metric}_b"]).max())
-        return float(np.ptp(values[f"{metric}{part}"])) > FLAT * size
+    def varies(name: str) -> bool:
+        size = float(np.abs(values[f"{name[:-2]}_w"] + values[f"{name[:-2]}_b"]).max())
+        return float(np.ptp(values[name])) > FLAT * size
 
     def keep_independent(names: list[str]) -> list[str]:
         """Leave out what is a sum of those before it."""
@@ -314,7 +295,7 @@ def _plan_fixed(cells: Cells) -> tuple[list[str], list[str]]:
                 reductions.append(f"No term {name}: it is a sum of {', '.join(kept)}.")
         return kept
 
-    flat = [name for name in cells.metrics if not varies(name, "_w")]
+    flat = [name for name in cells.metrics if not varies(f"{name}_w")]
     alike = "it is the same for all stimuli of a recording"
     reductions += [f"No slope of {name}: {alike}." for name in flat]
     within = keep_independent([f"{name}_w" for name in cells.metrics if name not in flat])
@@ -322,7 +303,7 @@ def _plan_fixed(cells: Cells) -> tuple[list[str], list[str]]:
         none = "none of which differs between stimuli of a recording"
         raise ValueError(f"metrics must vary, got {', '.join(cells.metrics)}, {none}")
     level = keep_independent([*within, *[LEVEL] * (LEVEL in values)])[len(within) :]
-    between = [f"{name}_b" for name in cells.metrics if varies(name, "_b")]
+    between = [f"{name}_b" for name in cells.metrics if varies(f"{name}_b")]
     if not between or cells.n_sources < len(between) + 2:
         scenes = f"source{'s' if cells.n_sources > 1 else ''}" if cells.shared else "of them"
         why = f"{len(cells.metrics)} such slopes cannot be told from the recordings themselves"
@@ -341,24 +322,19 @@ def _write(group: str, slopes: Sequence[str], bar: str = "||") -> str:
     return f"({effects} {bar if slopes else '|'} {group})"
 
 
-def _plan_people(cells: Cells, slopes: list[str], *, bar: str) -> Planned:
-    people, rows = cells.count(WHO), len(cells.table)
-    effects = 1 if bar == "||" else len(slopes) + 1
-    if people > 1 and people * effects >= rows:
-        few = f"{rows} rows for {people} participants are too few"
-        yield "", f"No spread of people's slopes: {few}."
-        slopes = []
-    lone = "No spread between people: one participant only; nothing here speaks of others."
-    yield _write(WHO, slopes, bar), lone if people == 1 else ""
-
-
-def _plan_scenes(cells: Cells, slopes: list[str]) -> Planned:
-    """Name the grouping factors besides people and reducers, as far as the design tells them apart.
+def _plan_units(cells: Cells, slopes: list[str], *, bar: str) -> Planned:
+    """Name the grouping factors besides reducers, as far as the design tells them apart.
 
     Slopes are of sources, where several recordings come from one: those of a recording and its copies are alike.
     Without the last term each copy would count as evidence of its own.
     """
     several, people, rows = cells.count(SCENE) > 1, cells.count(WHO), len(cells.table)
+    is_poor = people > 1 and people * (1 if bar == "||" else len(slopes) + 1) >= rows
+    if is_poor:
+        few = f"{rows} rows for {people} participants are too few"
+        yield "", f"No spread of people's slopes: {few}."
+    lone = "No spread between people: one participant only; nothing here speaks of others."
+    yield _write(WHO, [] if is_poor else slopes, bar), lone if people == 1 else ""
     lone = "No spread between recordings: one recording only; nothing here speaks of others."
     own = [] if cells.shared and cells.n_sources > 1 else slopes
     yield _write(SCENE, own), "" if several else lone
@@ -379,16 +355,14 @@ def _plan_scenes(cells: Cells, slopes: list[str]) -> Planned:
 
 def _plan_reducers(cells: Cells, slopes: list[str], free: int) -> Planned:
     """Name what stimuli of one reducer share, for everyone and for one person, as far as recordings repeat reducers."""
-    number, why = cells.count(REDUCER), ""
-    if REDUCER not in cells.table:
-        why = "no column 'reducer' says which stimuli were reduced alike"
-    elif number == 1:
-        why = "one reducer only"
-    elif cells.count(SCENE) == 1:
-        why = "one recording only"
-    elif number == cells.count(ITEM):
-        why = "no reducer was used on several recordings"
-    if why:
+    number = cells.count(REDUCER)
+    reasons = {
+        "no column 'reducer' says which stimuli were reduced alike": REDUCER not in cells.table,
+        "one reducer only": number == 1,
+        "one recording only": cells.count(SCENE) == 1,
+        "no reducer was used on several recordings": number == cells.count(ITEM),
+    }
+    if why := next((reason for reason, holds in reasons.items() if holds), ""):
         yield "", f"No spread between reducers: {why}."
         return
     # Of one source, (1 | source:reducer) is this term.
@@ -398,18 +372,6 @@ def _plan_reducers(cells: Cells, slopes: list[str], free: int) -> Planned:
     if cells.count(WHO) > 1:
         few = "No spread of people's reducers: too few stimuli to tell it from the residual."
         yield f"(1 | {WHO}:{REDUCER})", "" if _has_residual(cells, slopes) else few
-
-
-def _count_free(cells: Cells, slopes: list[str]) -> int:
-    """Count the differences between reducers that neither recordings nor slopes account for."""
-    if REDUCER not in cells.table:
-        return 0
-    rows = cells.rated.index.to_numpy()
-    values = cells.rated[slopes].to_numpy(np.float64)
-    # Each in units of its spread, so that none counts as rounding.
-    others = np.hstack([cells.mark(SCENE, rows), values / values.std(axis=0)])
-    both = np.hstack([others, cells.mark(REDUCER, rows)])
-    return int(np.linalg.matrix_rank(both) - np.linalg.matrix_rank(others))
 
 
 def _has_residual(cells: Cells, slopes: list[str]) -> bool:
@@ -423,11 +385,6 @@ def _has_residual(cells: Cells, slopes: list[str]) -> bool:
         if np.linalg.matrix_rank(columns) < len(rows):
             return True
     return False
-
-
-def find_recording_slope(spreads: Mapping[tuple[str, str], float], metric: str) -> float:
-    """Find how slopes differ between recordings, or between sources where several come from one."""
-    return max(spreads.get((group, f"{metric}_w"), 0.0) for group in (SCENE, SOURCE))
 
 
 def _quote(name: str) -> str:

@@ -10,10 +10,11 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import dataclass
 from functools import partial
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import t as student
 
 from feel321.analysis.arrays import read_numbers
 from feel321.analysis.primary.model import IN_MODEL, Primary, Slopes, adjust_holm, fit_slopes
@@ -31,132 +32,97 @@ from feel321.analysis.primary.plan import (
 )
 from feel321.analysis.primary.plan import LEVEL as COVARIATE
 from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.table.schema import HIGHEST
+from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.types import Samples
 
-PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"
-"""What may be concluded about a slope."""
-
+PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"  # Verdicts
 SURVIVES, LOST = "survives", "lost"  # What becomes of a verdict with level in the model
-LEVEL = 0.05
-"""Of a verdict, after Holm's adjustment, and of an exceptional reducer, after Bonferroni's."""
-
+LEVEL = 0.05  # Of a verdict, after Holm's adjustment, and of an exceptional reducer (Bonferroni)
 STIMULUS = "stimulus"
 CANDIDATES = 2  # Stimuli per metric and way of centring that are left out exactly
 MOVED = 1.0  # Standard errors by which a slope must change to be named
-MOST_CELLS = 20_000
-"""Participants x stimuli beyond which some thirty models would take many minutes."""
-
-MOST_UNITS = 100
-"""Recordings, or sources, beyond which a model without each would take hours, and says little of so small a share."""
-
-LEAST_EXCESS = 5.0
-"""Points that an exceptional reducer must differ by: less is also what the ends of the scale do to the best ones."""
-
-FEWEST_REDUCERS = 5
-"""Fewer than this do not say how far reducers differ from what their metrics predict."""
-
+MOST_CELLS = 20_000  # Participants x stimuli beyond which thirty models would take many minutes
+MOST_UNITS = 100  # Recordings, or sources, beyond which a model without each would take hours
+LEAST_EXCESS = 5.0  # Points of an exceptional reducer at least: less may be the ends of the scale
+FEWEST_REDUCERS = 5  # Fewer do not say how far reducers differ from what metrics predict
 DELIVERED = "_delivered"  # Suffix of the columns of metrics of what was delivered
-RIGS = ("rig", "calibration")
-"""Columns on what participants felt the stimuli on; there where they differ."""
-
+RIGS = ("rig", "calibration")  # Columns on what people felt the stimuli on, where they differ
 COLUMNS = (
     "estimate", "se", "df", "t", "p", "low", "high", "standardised", "standardised_low", "standardised_high",
 )  # fmt: skip
 
 TENTHS = ("tenth", "tenth_low", "tenth_high")
+UNITS = {"rater-standardised": "rater SDs", "logits": "logits"}  # Of slopes that are not in points
 
-
-class Fitted(NamedTuple):
-    """Slopes by metric, whether their fit is singular, what its model lacks, and all of it where there is a model."""
-
-    table: pd.DataFrame
-    singular: bool
-    reason: str
-    slopes: Slopes | None = None
+Variant = tuple[str, Callable[[], Cells], str, dict[str, bool]]  # Name, cells, note, and terms
 
 
 def _fit(
-    make: Callable[[], Cells], metrics: Sequence[str],
-    *, correlated: bool = False, reducers: bool = True,
-) -> Fitted:  # fmt: skip
-    """Fit the slopes; NaN and the reason where the rows carry no model."""
+    make: Callable[[], Cells],
+    metrics: Sequence[str],
+    *,
+    correlated: bool = False,
+    reducers: bool = True,
+) -> tuple[pd.DataFrame, str, Slopes | None]:
+    """Fit the slopes; also what their model lacks. NaN, the reason and None where the rows carry no model."""
     try:
         found = fit_slopes(make(), correlated=correlated, reducers=reducers)
     except ValueError as error:
         index = pd.Index(metrics, name="metric")
-        empty = pd.DataFrame(np.nan, index=index, columns=[*COLUMNS, *TENTHS])
-        return Fitted(empty, singular=False, reason=str(error))
-    singular, lacks = bool(found.solved.note_zeros()), " ".join(found.terms.reductions)
-    return Fitted(found.table.reindex(list(found.cells.metrics)), singular, lacks, found)
+        return pd.DataFrame(np.nan, index=index, columns=[*COLUMNS, *TENTHS]), str(error), None
+    reason = " ".join(found.terms.reductions)
+    return found.table.reindex(list(found.cells.metrics)), reason, found
 
 
-class Variant(NamedTuple):
-    """The primary analysis under another choice: other rows, another scale of the ratings, other terms.
-
-    make: the cells, or a ValueError that says why there are none.
-    """
-
-    name: str
-    make: Callable[[], Cells]
-    unit: str = "points"
-    correlated: bool = False
-    reducers: bool = True
-    note: str = ""
-
-
-def vary_primary(rows: pd.DataFrame, metrics: Sequence[str], *, top: float = 100.0) -> pd.DataFrame:
+def vary_primary(rows: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
     """Repeat the primary analysis under other choices: one row per variant and metric.
 
-    rows: as for `fit_primary`; ratings from 0 to top. Columns: variant, unit (of estimate, low and high: points, rater
+    rows: as for `fit_primary`; ratings from 0 to 100. Columns: variant, unit (of estimate, low and high: points, rater
     SDs or logits, per unit of the metric), metric, estimate se df t p low high, standardised slope with its interval,
     singular, and reason (why a variant has no numbers, or what its model lacks or leaves out).
 
     Variants: people's slopes correlated; no terms for reducers; no level; each rater's ratings standardised, which
-    takes out how much of the scale they use; ratings as logits of (y (n - 1) + 1/2) / n, y = rating / top and n their
+    takes out how much of the scale they use; ratings as logits of (y (n - 1) + 1/2) / n, y = rating / 100 and n their
     number (Smithson & Verkuilen 2006, doi 10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's
     ends. Only standardised slopes compare across units. Where rows have them: the metrics of what was delivered; the
     rig as a factor (mean ratings of each rig and recording taken out); without the people on each rig.
     """
     rows, notes = select_rows(rows)
     ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
-    if ratings.min() < 0 or ratings.max() > top:
-        got = f"got {ratings.min():g} to {ratings.max():g}; give top"
-        raise ValueError(f"rows must have ratings from 0 to {top:g}, {got}")
+    if ratings.min() < LOWEST or ratings.max() > HIGHEST:
+        got = f"got {ratings.min():g} to {ratings.max():g}"
+        raise ValueError(f"rows must have ratings from 0 to 100, {got}; leave others out")
     rows = rows.assign(**{RATING: ratings})
-    tables = []
-    for variant in _list_variants(rows, metrics, top=top):
-        terms = {"correlated": variant.correlated, "reducers": variant.reducers}
-        found = _fit(variant.make, metrics, **terms)
-        if variant.name == "primary" and not found.slopes:
-            raise ValueError(found.reason)
-        reason = " ".join(filter(None, (*notes, variant.note, found.reason)))
-        keys = {"variant": variant.name, "unit": variant.unit}
-        table = found.table[list(COLUMNS)].rename_axis("metric").reset_index()
-        tables.append(table.assign(singular=found.singular, reason=reason, **keys))
-    whole = pd.concat(tables, ignore_index=True)
-    return whole[["variant", "unit", *(name for name in whole if name not in keys)]]
-
-
-def _list_variants(rows: pd.DataFrame, metrics: Sequence[str], *, top: float) -> Iterator[Variant]:
-    cells = make_cells(rows, metrics)
-    yield Variant("primary", lambda: cells)
-    yield Variant("correlated slopes", lambda: cells, correlated=True)
-    yield Variant("without reducers", lambda: cells, reducers=False)
-    if COVARIATE in cells.table:
-        yield Variant("without level", cells.ignore_level)
-    yield from _list_rig_variants(rows, metrics, cells)
-    own = rows.groupby(WHO, observed=True)[RATING]
+    cells, own = make_cells(rows, metrics), rows.groupby(WHO, observed=True)[RATING]
     spread = own.transform("std").fillna(0)
     steady = spread == 0
     names = ", ".join(map(str, rows.loc[steady, WHO].unique()))
     note = f"Without {names}, whose ratings are all the same." if names else ""
     scaled = rows.assign(**{RATING: (rows[RATING] - own.transform("mean")) / spread.mask(steady)})
-    make = partial(make_cells, scaled[~steady], metrics)
-    yield Variant("rater-standardised", make, unit="rater SDs", note=note)
-    share = (rows[RATING] / top * (len(rows) - 1) + 0.5) / len(rows)
+    share = (rows[RATING] / HIGHEST * (len(rows) - 1) + 0.5) / len(rows)
     logits = rows.assign(**{RATING: np.log(share / (1 - share))})
-    yield Variant("logits", partial(make_cells, logits, metrics), unit="logits")
+    variants: list[Variant] = [
+        ("primary", lambda: cells, "", {}),
+        ("correlated slopes", lambda: cells, "", {"correlated": True}),
+        ("without reducers", lambda: cells, "", {"reducers": False}),
+        *[("without level", cells.ignore_level, "", dict[str, bool]())]
+        * (COVARIATE in cells.table),
+        *_list_rig_variants(rows, metrics, cells),
+        ("rater-standardised", partial(make_cells, scaled[~steady], metrics), note, {}),
+        ("logits", partial(make_cells, logits, metrics), "", {}),
+    ]
+    tables = []
+    for name, make, said, terms in variants:
+        table, lack, slopes = _fit(make, metrics, **terms)
+        if name == "primary" and not slopes:
+            raise ValueError(lack)
+        reason = " ".join(filter(None, (*notes, said, lack)))
+        table = table[list(COLUMNS)].rename_axis("metric").reset_index()
+        table.insert(0, "variant", name)
+        table.insert(1, "unit", UNITS.get(name, "points"))
+        is_singular = slopes is not None and bool(slopes.solved.note_zeros())
+        tables.append(table.assign(singular=is_singular, reason=reason))
+    return pd.concat(tables, ignore_index=True)
 
 
 def _list_rig_variants(
@@ -168,19 +134,19 @@ def _list_rig_variants(
         lacking = [name for name in metrics if name not in delivered]
         note = f"Of {', '.join(lacking)}, the intended one." if lacking else ""
         make = partial(make_cells, rows.assign(**delivered), metrics)
-        yield Variant("delivered metrics", make, note=note)
+        yield "delivered metrics", make, note, {}
     for name in (name for name in RIGS if name in rows):
         means, whole = (
             rows.groupby(keys, observed=True)[RATING].transform("mean")
             for keys in ([name, SCENE], SCENE)
         )
         left = rows.assign(**{RATING: rows[RATING] - means + whole})
-        yield Variant(f"{name} as a factor", partial(make_cells, left, metrics))
+        yield f"{name} as a factor", partial(make_cells, left, metrics), "", {}
         for value, people in rows.drop_duplicates(WHO).groupby(name)[WHO]:
             # The rest is most, and more than one.
             if 2 * len(people) <= cells.count(WHO) > len(people) + 1:
                 make = partial(cells.leave_out, WHO, *people)
-                yield Variant(f"without {name} {str(value) or 'unknown'}", make)
+                yield f"without {name} {str(value) or 'unknown'}", make, "", {}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,11 +161,6 @@ class Influence:
     table: pd.DataFrame
     exceptions: pd.DataFrame
     notes: tuple[str, ...] = ()
-
-    def find_turns(self, metric: str) -> pd.DataFrame:
-        """Find the units without which a metric's verdict or sign changes, the largest change first."""
-        moves = self.find_moves(metric)
-        return moves if moves.empty else moves[moves["turns"]]
 
     def find_moves(self, metric: str) -> pd.DataFrame:
         """Find the units without which a metric's slope changes by more than its standard error, or turns."""
@@ -259,6 +220,7 @@ def measure_influence(
     """Leave out each recording and reducer, and the stimuli that matter most, one at a time."""
     cells, found, notes = make_cells(rows, metrics), [], []
     slopes: dict[Hashable, Slopes] = {}
+    units: list[tuple[str, Hashable]] = []
     if cells.count(WHO, ITEM) > MOST_CELLS:
         most = f"more than {MOST_CELLS} participant x stimulus cells"
         notes.append(f"Influence was not measured: {most}.")
@@ -266,14 +228,23 @@ def measure_influence(
         if cells.n_sources > MOST_UNITS:
             what = "Sources" if cells.shared else "Recordings"
             notes.append(f"{what} were not left out in turn: more than {MOST_UNITS}.")
-        stimuli = ((ITEM, name) for name in find_candidates(cells))
-        before = _conclude(whole.slopes, others)
-        for column, name in (*leave_out_units(cells), *stimuli):
-            fitted = _fit(partial(cells.leave_out, column, name), metrics)
-            table = _compare(fitted, whole, before=before, others=others)
-            found.append(table.assign(kind=STIMULUS if column == ITEM else column, unit=str(name)))
-            if column == REDUCER and fitted.slopes:
-                slopes[name] = fitted.slopes
+        units = [*leave_out_units(cells), *((ITEM, name) for name in find_candidates(cells))]
+    before, estimate = _conclude(whole.slopes, others), whole.slopes["estimate"]
+    for column, name in units:
+        left, reason, fitted = _fit(partial(cells.leave_out, column, name), metrics)
+        table = left.reindex(whole.slopes.index)[["estimate", "se", "df", "p", *TENTHS]]
+        table = table.join(_conclude(table, others))
+        table["shift"] = (table["estimate"] - estimate) / whole.slopes["se"]
+        known = table["verdict"] != NOT_ESTIMABLE
+        turned = np.sign(table["estimate"]) * np.sign(estimate) < 0
+        other = table["verdict"] != before["verdict"]
+        table["turns"] = known & before["p_holm"].notna() & (other | turned)
+        table["moves"] = table["turns"] | (known & (table["shift"].abs() > MOVED))
+        table["reason"] = "" if left["estimate"].notna().any() else reason
+        table = table.rename_axis("metric").reset_index()
+        found.append(table.assign(kind=STIMULUS if column == ITEM else column, unit=str(name)))
+        if column == REDUCER and fitted:
+            slopes[name] = fitted
     table = pd.concat(found, ignore_index=True) if found else pd.DataFrame()
     return Influence(table, _find_exceptions(cells, slopes), tuple(notes))
 
@@ -317,27 +288,8 @@ def _conclude(slopes: pd.DataFrame, others: Sequence[float]) -> pd.DataFrame:
     return pd.DataFrame({"p_holm": p_holm, "verdict": verdicts}, index=slopes.index)
 
 
-def _compare(
-    fitted: Fitted, whole: Primary, *, before: pd.DataFrame, others: Sequence[float]
-) -> pd.DataFrame:
-    """Compare every slope that was fitted without a unit with that of the whole."""
-    table = fitted.table.reindex(whole.slopes.index)[["estimate", "se", "df", "p", *TENTHS]]
-    table = table.join(_conclude(table, others))
-    estimate = whole.slopes["estimate"]
-    table["shift"] = (table["estimate"] - estimate) / whole.slopes["se"]
-    known = table["verdict"] != NOT_ESTIMABLE
-    turned = np.sign(table["estimate"]) * np.sign(estimate) < 0
-    other = table["verdict"] != before["verdict"]
-    table["turns"] = known & before["p_holm"].notna() & (other | turned)
-    table["moves"] = table["turns"] | (known & (table["shift"].abs() > MOVED))
-    table["reason"] = "" if fitted.table["estimate"].notna().any() else fitted.reason
-    return table.rename_axis("metric").reset_index()
-
-
 def _find_exceptions(cells: Cells, slopes: Mapping[Hashable, Slopes]) -> pd.DataFrame:
     """Find reducers that are rated otherwise than the slopes of all others predict."""
-    from scipy.stats import t as student
-
     columns = ["excess", "t", "df", "p", "exceptional"]
     if len(slopes) < FEWEST_REDUCERS:
         return pd.DataFrame(columns=columns, index=pd.Index([], name=REDUCER))

@@ -162,7 +162,7 @@ def _scale(
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
-    from feel321.analysis.contrasts.told_apart import discriminate
+    from feel321.analysis.choices import discriminate
 
     found, frame = Found(key="discrimination"), discriminate(table)
     if frame.empty:
@@ -188,7 +188,7 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
 
 def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Compare dissimilarities from the original with those of identical pairs."""
-    from feel321.analysis.contrasts.told_apart import EVERY, compare_with_original
+    from feel321.analysis.choices import EVERY, compare_with_original
 
     found = Found(key="told_apart")
     rows = table.rows[table.rows["scale"] == PAIRED]

@@ -95,7 +95,7 @@ def reduce_in_frames(
     reduced = np.empty((*batch, n))
     written = -hop  # the first finished block is the silent one before the signal
     blocks_left = math.ceil(n / hop) + 1
-    per_push = max(1, _SAMPLES_AT_A_TIME // hop)
+    per_push = max(1, _SAMPLES_AT_A_TIME // (hop * math.prod(batch)))
     for first in range(0, blocks_left, per_push):
         n_blocks = min(per_push, blocks_left - first)
         piece = samples[..., first * hop : (first + n_blocks) * hop]
@@ -228,7 +228,8 @@ class PrincipalFrames:
         axes = np.concatenate([self._axis, self._turned(*_segment_axes(frames, weights))], axis=-2)
         self._previous, self._valid = blocks[..., -1:, :].copy(), valid[-1:]
         self._axis = axes[..., -1:, :]
-        mixed = axes[..., :-1, :, None] * self._fall + axes[..., 1:, :, None] * self._rise
+        mixed = axes[..., :-1, :, None] * self._fall
+        mixed += axes[..., 1:, :, None] * self._rise
         mixed /= np.maximum(np.linalg.norm(mixed, axis=-2, keepdims=True), _SHORTEST_MIX)
         return np.asarray(np.einsum("...mih,...imh->...mh", mixed, blocks[..., :-1, :]))
 
@@ -254,7 +255,8 @@ def _segment_axes(frames: Samples, weights: Samples) -> tuple[Samples, Samples, 
     """Leading axes (..., m, 3) of frames (..., 3, m, length), their energies, and which are constant: (..., m)."""
     total = np.maximum(weights.sum(axis=-1), np.finfo(np.float64).tiny)
     mean = np.einsum("...imt,mt->...im", frames, weights) / total
-    centred = (frames - mean[..., None]) * np.sqrt(weights)
+    centred = frames - mean[..., None]
+    centred *= np.sqrt(weights)
     covariance = np.einsum("...imt,...jmt->...mij", centred, centred)
     variation = np.trace(covariance, axis1=-2, axis2=-1)
     constant = variation <= _CONSTANT * np.einsum("...im,m->...m", mean**2, total)

@@ -3,18 +3,15 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import binom, nct
 from scipy.stats import t as student
 
-from feel321.analysis.power import simulate
-from feel321.analysis.power.closed import ClosedForm
-from feel321.analysis.power.design import PowerDesign, Stimuli
-from feel321.analysis.power.plan import find_power
-from feel321.analysis.power.simulate import simulate_studies, tabulate_shares
+from feel321.analysis.power import plan
+from feel321.analysis.power.design import ClosedForm, PowerDesign, Stimuli
+from feel321.analysis.power.plan import find_power, simulate_studies, tabulate_shares
 from feel321.jobs import Workers
 
 Make = Callable[..., PowerDesign]
@@ -29,8 +26,7 @@ def find_covariance(design: PowerDesign, stimuli: Stimuli) -> np.ndarray:
     truth, people = design.truth, design.participants
     scene, kind = (np.eye(codes.max() + 1)[codes] for codes in (stimuli.scene, stimuli.kind))
     noise = truth.person_item_sd**2 + truth.rating_sd**2 / design.repeats
-    own = stimuli.within * design.slope_sds
-    theirs = stimuli.within * design.recording_slope_sds
+    own, theirs = (stimuli.within * sds for sds in design.slope_sds)
     found = (truth.item_sd**2 + noise / people) * np.eye(len(own))
     found += truth.person_sd**2 / people + own @ own.T / people
     found += (truth.recording_sd**2 + truth.person_recording_sd**2 / people) * (scene @ scene.T)
@@ -49,12 +45,13 @@ def test_closed_form_is_generalised_least_squares(make_design: Make) -> None:
     covariance += np.diag([81.0, 16.0]) / people
     for place in (0, 1):
         form = ClosedForm(given, place)
-        se, df = form.find_error()
+        found = form.describe(0.0)
+        se, df = found["se"], found["df"]
         assert se**2 == pytest.approx(covariance[place, place], rel=1e-6)
         limit = student.ppf(1 - given.level / 2, df)
         wanted = nct.sf(limit, df, 3) + nct.cdf(-limit, df, 3)
         assert form.find_power(3 * se) == pytest.approx(wanted, rel=1e-6)
-        assert form.find_power(form.find_detectable()) == pytest.approx(0.8, abs=1e-6)
+        assert form.find_power(found["detectable"]) == pytest.approx(0.8, abs=1e-6)
 
 
 @pytest.mark.parametrize("own", [(4, 6), (11, 9)])
@@ -66,21 +63,22 @@ def test_closed_form_knows_that_recordings_differ_in_their_slopes(
     columns = np.column_stack([stimuli.within, np.eye(own[0])[stimuli.scene]])
     best = np.linalg.inv(columns.T @ np.linalg.solve(spread, columns))[:2, :2]
     for place in (0, 1):
-        se, df = ClosedForm(given, place).find_error()
-        assert 1 <= se**2 / best[place, place] < 1.15
-        assert df > own[0] - 1
+        found = ClosedForm(given, place).describe(0.0)
+        assert 1 <= found["se"] ** 2 / best[place, place] < 1.15
+        assert found["df"] > own[0] - 1
 
 
 def test_power_grows_with_people_to_the_ceiling_that_stimuli_set(make_design: Make) -> None:
     form = ClosedForm(make_design(), 0)
     powers = [form.find_power(30.0, participants=people) for people in (4, 8, 16, 64, 1000)]
     assert powers == sorted(powers)
-    assert powers[-1] < form.find_ceiling(30.0) < 1
-    slope = form.find_detectable()
-    needed = int(form.find_participants(slope * 1.1))
-    assert form.find_power(slope * 1.1, participants=needed) >= 0.8
-    assert form.find_power(slope * 1.1, participants=needed - 1) < 0.8
-    assert np.isnan(form.find_participants(slope / 3))
+    found = form.describe(30.0)
+    assert powers[-1] < found["ceiling"] < 1
+    slope = found["detectable"] * 1.1
+    needed = int(form.find_least("participants", slope))
+    assert form.find_power(slope, participants=needed) >= 0.8
+    assert form.find_power(slope, participants=needed - 1) < 0.8
+    assert np.isnan(form.find_least("participants", slope / 3))
 
 
 def test_the_recordings_that_are_said_to_be_enough_are_enough(make_design: Make) -> None:
@@ -105,7 +103,7 @@ def test_sets_without_a_test_count_as_no_power(make_design: Make) -> None:
     one, both = ClosedForm(given, 0), ClosedForm(given, 0)
     both.__dict__["sets"] = [given.stimuli, twin]
     assert both.find_power(40.0) == pytest.approx(one.find_power(40.0) / 2)
-    assert np.isnan(both.find_detectable())
+    assert np.isnan(both.describe(40.0)["detectable"])
 
 
 def test_points_of_another_size_change_no_power(make_design: Make) -> None:
@@ -152,48 +150,14 @@ def test_shares_are_those_of_a_loop_over_studies() -> None:
     assert table["simulated"].tolist() == pytest.approx((hits / table["tests"]).tolist())
 
 
-def test_studies_are_kept_whole_and_alike_for_any_number_of_workers(
-    make_design: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_studies_are_alike_for_any_number_of_workers(
+    make_design: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(simulate, "CHUNK", 4)
-    given = make_design(own=(4, 4), participants=4, recordings=5)
-    run = partial(simulate_studies, given, seed=2)
-    one, two = (
-        run(studies=8, workers=Workers(count), keep=tmp_path / str(count)) for count in (1, 2)
-    )
+    monkeypatch.setattr(plan, "CHUNK", 4)
+    run = partial(simulate_studies, make_design(own=(4, 4), participants=4, recordings=5), seed=2)
+    one, two = (run(studies=8, workers=Workers(count)) for count in (1, 2))
     assert np.array_equal(one, two)
-    kept, other = (
-        {file.name: file.read_bytes() for file in (tmp_path / name).iterdir()} for name in "12"
-    )
-    assert len(kept) == 2
-    assert kept == other
-    # What is damaged is computed anew; another truth is not taken for this one, a longer simulation is more of it.
-    first, whole = next(iter(kept.items()))
-    for content in (b"", b"[]", b"{}", whole[:-9]):
-        (tmp_path / "1" / first).write_bytes(content)
-        assert np.array_equal(run(studies=8, keep=tmp_path / "1"), one)
-    steady = replace(given, truth=replace(given.truth, rating_sd=1.0))
-    simulate_studies(steady, studies=4, seed=2, keep=tmp_path / "1")
-    assert len(list((tmp_path / "1").iterdir())) == 3
-    assert np.array_equal(run(studies=10, keep=tmp_path / "1")[:8], one)
-
-
-def test_an_interrupted_simulation_goes_on_where_it_was(
-    make_design: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(simulate, "CHUNK", 4)
-    run = partial(simulate_studies, make_design(own=(3, 3), participants=4), studies=12)
-
-    def interrupt(done: int, _all: int) -> None:
-        if done == 2:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run(keep=tmp_path, progress=interrupt)
-    kept = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
-    assert len(kept) == 2
-    assert np.array_equal(run(keep=tmp_path), run(), equal_nan=True)
-    assert all(file.stat().st_mtime_ns == before for file, before in kept.items())
+    assert np.array_equal(run(studies=10)[:8], one)
 
 
 def test_larger_designs_use_every_recording_about_as_often(make_design: Make) -> None:
@@ -218,21 +182,21 @@ def test_drawn_ratings_have_the_planted_spreads_and_slopes(make_design: Make) ->
     none = dict.fromkeys((*spreads, *where, *own), 0.0) | {"slopes": {}, "bounded": False}
     for name, axes in where.items():
         given = make_design(participants=60, repeats=4, **(none | {name: 4.0, "step": 0.0}))
-        ratings = simulate.draw_ratings(given, given.stimuli, np.random.default_rng(2))
+        ratings = plan.draw_ratings(given, given.stimuli, np.random.default_rng(2))
         others = tuple(set(range(1, 4)) - set(axes))
         found = ratings.mean(axis=others) if others else ratings
         assert np.std(found) == pytest.approx(4.0, rel=0.35 if name == "item_sd" else 0.25)
         if others:
             assert np.ptp(ratings, axis=others).max() < 1e-9
     slopes = make_design(**(none | {"slopes": {"spectral": 30.0}, "step": 0.0}))
-    planted = simulate.draw_ratings(slopes, slopes.stimuli, np.random.default_rng(2))
+    planted = plan.draw_ratings(slopes, slopes.stimuli, np.random.default_rng(2))
     metric = slopes.stimuli.metrics[:, 0]
     assert planted[0, 0, :, 0] == pytest.approx(50 + 30 * (metric - metric.mean()))
 
 
 def test_ratings_have_the_ends_and_steps_of_the_scale(make_design: Make) -> None:
     given = make_design(participants=400, mean=85.0, person_sd=40.0)
-    ratings = simulate.draw_ratings(given, given.stimuli, np.random.default_rng(4))
+    ratings = plan.draw_ratings(given, given.stimuli, np.random.default_rng(4))
     assert (ratings.min(), ratings.max()) == (0.0, 100.0)
     assert np.abs(ratings * 10 - np.round(ratings * 10)).max() < 1e-6
 

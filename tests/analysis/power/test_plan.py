@@ -6,8 +6,7 @@ from functools import partial
 from typing import Any
 
 from feel321.analysis.power.design import SIZES, PowerDesign
-from feel321.analysis.power.plan import PowerPlan, find_power, plan_power
-from feel321.analysis.power.simulate import simulate_studies
+from feel321.analysis.power.plan import PowerPlan, find_power, plan_power, simulate_studies
 
 Make = Callable[..., PowerDesign]
 

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from feel321.analysis.screening import multimodality, tukey_fences, tukey_hinges
+from feel321.analysis.screening import multimodality, tukey_fences
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,6 @@ from feel321.analysis.screening import multimodality, tukey_fences, tukey_hinges
     ],
 )
 def test_hinges_and_fences(values: list[float], hinges: tuple[float, float]) -> None:
-    assert tukey_hinges(values) == hinges
     low, high = hinges
     reach = 1.5 * (high - low)
     assert tukey_fences(values) == (low - reach, high + reach)
@@ -27,16 +26,15 @@ def test_hinges_and_fences(values: list[float], hinges: tuple[float, float]) -> 
 @pytest.mark.parametrize("values", [[], [1.0, np.nan]])
 def test_hinges_refuse(values: list[float]) -> None:
     with pytest.raises(ValueError, match="must be one or more finite numbers"):
-        tukey_hinges(values)
+        tukey_fences(values)
 
 
 def test_multimodality_of_known_shapes() -> None:
     grid = (np.arange(4000) + 0.5) / 4000
     assert multimodality(grid) == pytest.approx(5 / 9, abs=0.002)
     assert multimodality(np.repeat([0, 1], 2000)) == pytest.approx(1, abs=0.002)
-    assert multimodality(np.random.default_rng(0).normal(size=20000)) == pytest.approx(
-        1 / 3, abs=0.01
-    )
+    normal = np.random.default_rng(0).normal(size=20000)
+    assert multimodality(normal) == pytest.approx(1 / 3, abs=0.01)
 
 
 @pytest.mark.parametrize("values", [[1.0, 2, 3], [5.0] * 9, [0.1 + 0.2, 0.3, 0.3, 0.3, 0.3]])
