@@ -140,8 +140,7 @@ class Study(OpenStudy):
         scheduler : str
             A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
         """
-        from feel321.stimuli.sets.build import find_copies
-        from feel321.study.check import build_study
+        from feel321.study.check import build_study, find_copies
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(
@@ -227,7 +226,6 @@ class Study(OpenStudy):
                 sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                keep=target / power.KEPT,
                 workers=as_workers(workers, scheduler),
                 progress=step,
             )

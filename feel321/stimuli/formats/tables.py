@@ -48,17 +48,6 @@ AXIS = re.compile(
 TIME = re.compile(r"t|time|times|time[\s_]?stamps?", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True)
-class ReadingOptions:
-    """Options of the caller; columns are (x, y, z) or (time, x, y, z), by name or number from 0."""
-
-    rate_hz: float | None = None
-    unit: str | None = None
-    columns: Sequence[str | int] | None = None
-    full_scale: float | None = None
-    resample: bool = False
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoded:
     """The content of a file; first_line is the line of a text file that holds the first sample, from 1."""
@@ -156,16 +145,14 @@ def find_columns(labels: Sequence[str], *, wholes: Sequence[str] = ()) -> Column
     found: dict[str, list[int]] = {"x": [], "y": [], "z": [], "time": [], "whole": []}
     for i, label in enumerate(labels):
         name = split_unit(label, ACCELERATION_SPELLINGS)[0]
-        if name.casefold() in wholes:
-            found["whole"].append(i)
-        elif match := AXIS.fullmatch(name):
-            found[match[1].lower()].append(i)
-        elif TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0]):
-            found["time"].append(i)
+        is_time = TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0])
+        axis = AXIS.fullmatch(name)
+        kind = "whole" if name.casefold() in wholes else axis[1].lower() if axis else "time"
+        if axis or is_time or kind == "whole":
+            found[kind].append(i)
     axes = _check_found(found, labels)
-    for i in axes:
-        if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
-            parse_unit(unit)  # a bracket may say volts: only columns=... overrules it
+    for unit in filter(None, (split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes)):
+        parse_unit(unit)  # a bracket may say volts: only columns=... overrules it
     return _with_units(labels, axes, next(iter(found["time"]), None))
 
 
@@ -193,15 +180,14 @@ def _check_found(found: Mapping[str, list[int]], labels: Sequence[str]) -> tuple
 
 
 def pick_columns(
-    wanted: Sequence[str | int],
-    *, labels: Sequence[str] | None, n_columns: int, whole: bool = False,
-) -> Columns:  # fmt: skip
+    wanted: Sequence[str | int], *, labels: Sequence[str], n_columns: int, whole: bool = False
+) -> Columns:
     """Take the columns that the caller names: (x, y, z) or (time, x, y, z), by label or by number from 0."""
     counts = {1, 2, AXES, AXES + 1} if whole else {AXES, AXES + 1}
     if isinstance(wanted, str) or not isinstance(wanted, Sequence) or len(wanted) not in counts:
         more = "(acceleration,), (time, acceleration), " if whole else ""
         raise ValueError(f"columns must be {more}(x, y, z) or (time, x, y, z), got {wanted!r}")
-    names = [label.strip().casefold() for label in labels or ()]
+    names = [label.strip().casefold() for label in labels]
     places: list[int] = []
     for column in wanted:
         name = str(column).strip().casefold()
@@ -221,7 +207,7 @@ def pick_columns(
 
 def _with_units(labels: Sequence[str], axes: tuple[int, ...], time: int | None) -> Columns:
     """Add the units that the labels of the chosen columns name."""
-    units = {split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes}
+    units = (split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes)
     named = {ACCELERATION_SPELLINGS.get(unit or "") for unit in units}
     if len(named) > 1:
         header = ", ".join(labels[i] for i in axes)
@@ -246,16 +232,16 @@ class TextTable:
     first_line: int
     delimiter: str
     decimal: str
-    labels: tuple[str, ...] | None
+    labels: tuple[str, ...]
     n_columns: int
 
 
-def read_table(path: Path, request: ReadingOptions) -> Decoded:
-    """Read three columns of acceleration, and time if there is a column for it."""
+def read_table(path: Path, wanted: Sequence[str | int] | None) -> Decoded:
+    """Read three columns of acceleration, and time if there is a column for it; wanted: (time,) x, y, z, if given."""
     table = split_table(path)
     n_columns, first = table.n_columns, table.first_line
-    if request.columns is not None:
-        columns = pick_columns(request.columns, labels=table.labels, n_columns=n_columns)
+    if wanted is not None:
+        columns = pick_columns(wanted, labels=table.labels, n_columns=n_columns)
     elif table.labels:
         columns = find_columns(table.labels)
     elif n_columns == 1:
@@ -263,8 +249,7 @@ def read_table(path: Path, request: ReadingOptions) -> Decoded:
     elif n_columns < AXES:
         raise ValueError(f"there must be three axes x, y, z, got {n_columns} columns, no header")
     elif n_columns > AXES:
-        how = "columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
-        do = f"say which, e.g. {how}"
+        do = "say which, e.g. columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
         raise ValueError(f"{n_columns} columns without a header are ambiguous; {do}")
     else:
         columns = Columns((0, 1, 2))
@@ -300,10 +285,8 @@ def split_table(path: Path) -> TextTable:
     raise ValueError(f"there is no row of numbers in the first {HEAD_LINES} lines; export it again")
 
 
-def _find_labels(
-    above: list[str], delimiter: str, *, n_columns: int, line: int
-) -> tuple[str, ...] | None:
-    """Find the names of the columns in the lines above the numbers."""
+def _find_labels(above: list[str], delimiter: str, *, n_columns: int, line: int) -> tuple[str, ...]:
+    """Find the names of the columns, if there are any, in the lines above the numbers."""
     if n_columns > MOST_COLUMNS:
         raise ValueError(f"a table must have at most {MOST_COLUMNS} columns, got {n_columns}")
     headers = [content for content in above if content[0] not in COMMENT_MARKS]
@@ -316,7 +299,7 @@ def _find_labels(
     if headers and len(labels[0]) != n_columns:
         got = f"got {len(labels[0])} names but {n_columns} cells on line {line}"
         raise ValueError(f"the header must name each cell, {got}")
-    return tuple(labels[0]) if labels and len(labels[0]) == n_columns else None
+    return tuple(labels[0]) if labels and len(labels[0]) == n_columns else ()
 
 
 def read_numbers(table: TextTable, columns: Sequence[int]) -> Samples:
@@ -325,21 +308,22 @@ def read_numbers(table: TextTable, columns: Sequence[int]) -> Samples:
 
     kinds = {i: np.float64 if i in columns else str for i in range(table.n_columns)}
     text, mark, sign = io.StringIO(table.text), table.delimiter, table.decimal
+    reason = "a number is not finite"
     try:
         frame = pd.read_csv(
             text, sep=mark, decimal=sign, header=None, dtype=kinds, skip_blank_lines=False
         )
-        values = frame[list(columns)].to_numpy().T
+        values = np.ascontiguousarray(frame[list(columns)].to_numpy().T, dtype=np.float64)
     except ValueError as error:
-        _refuse_fault(table, columns)
-        raise ValueError(f"cannot be read as numbers ({str(error).splitlines()[0]})") from None
+        values, reason = np.full(1, math.nan), str(error).splitlines()[0]
     if not np.isfinite(values).all():
         _refuse_fault(table, columns)
-    return np.ascontiguousarray(values, dtype=np.float64)
+        raise ValueError(f"cannot be read as numbers ({reason})")
+    return values
 
 
 def _refuse_fault(table: TextTable, columns: Sequence[int]) -> None:
-    """Find the first line that is wrong, and refuse it."""
+    """Refuse the first line that is wrong."""
     for line, row in enumerate(table.text.split("\n"), start=table.first_line):
         place = f"line {line}:"
         if not row.strip():

@@ -30,7 +30,7 @@ from feel321.doors import (
     describe,
     name_of,
 )
-from feel321.jobs import Workers, as_workers, gather_results
+from feel321.jobs import Workers, gather_results
 from feel321.names import REDUCER_NAMES
 from feel321.stimuli.own_methods import find_reducer
 from feel321.stimuli.recording import (
@@ -178,7 +178,7 @@ def reduce_many(
     how = {"function": with_window(REDUCERS.find(reducer), window_s), "together": is_ours}
     jobs = [(_reduce_alike, ([recordings[one] for one in piece],), how) for piece in pieces]
     found: dict[int, Reduced] = {}
-    for piece, rows in zip(pieces, gather_results(jobs, workers=as_workers(workers)), strict=True):
+    for piece, rows in zip(pieces, gather_results(jobs, workers=workers), strict=True):
         for place, row in zip(piece, rows, strict=True):
             one = recordings[place]
             found[place] = Reduced(row, one.rate_hz, name_of(reducer), one.name)
