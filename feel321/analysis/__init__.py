@@ -9,7 +9,7 @@ type by a TypeError) that says what must be, what was got and what to do; what i
 
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from feel321.doors import import_lazily as _import_lazily
+from feel321.arguments import import_lazily as _import_lazily
 
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import intraclass, krippendorff_alpha, noise_ceiling

@@ -14,7 +14,7 @@ from scipy.stats import f, rankdata
 
 from feel321.analysis.arrays import FLAT, UPPER, Values, read_array
 from feel321.analysis.table.items import Items, Table, as_votes
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.records import Statistic
 
 NAN = float("nan")

@@ -8,7 +8,7 @@ from itertools import count
 from threading import Event, Lock
 from typing import NamedTuple
 
-from feel321.doors import follow
+from feel321.arguments import follow
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.evidence.checkpoints import note_checkpoint
 from feel321.study.folder import OpenStudy, Outcome, StudyFolder
