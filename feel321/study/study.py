@@ -226,7 +226,6 @@ class Study(OpenStudy):
                 sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                keep=target / power.KEPT,
                 workers=as_workers(workers, scheduler),
                 progress=step,
             )

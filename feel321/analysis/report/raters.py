@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from feel321.analysis.consistency import rater_model
+from feel321.analysis.agreement import rater_model
 from feel321.analysis.primary.model import adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, list_changes
