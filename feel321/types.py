@@ -1,4 +1,4 @@
-"""Types that signatures name, for annotations in a lab's own code; and the names of reducers, metrics and claims.
+"""Types that signatures name, for annotations in a lab's own code; and the names of reducers and metrics.
 
 What each metric declares is data here, for what reads tables and needs no signals.
 """
@@ -6,14 +6,12 @@ What each metric declares is data here, for what reads tables and needs no signa
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Literal, NamedTuple, Protocol, TypeAlias, get_args
+from dataclasses import dataclass
+from typing import Annotated, Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
-
-from feel321.arguments import Registry, check_name
 
 __all__ = [
     "Direction", "Level", "Method", "Metric", "MetricInfo", "PathLike", "Progress", "Reducer", "Rng", "Samples",
@@ -82,22 +80,19 @@ REDUCER_NAMES = (
 """In the order of the paper, simplest first; later ones follow. The only list of names."""
 
 _WORSE_DB: tuple[Direction, float, float, str] = ("worse", 0.0, MOST_DB, "dB")
-METRIC_INFO: Mapping[str, MetricInfo] = Registry(
-    "metric",
-    {
-        "spectral_match": MetricInfo("spectral match", high=1.0),
-        "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
-        "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
-        "temporal_match_windowed": MetricInfo("temporal match in windows", low=0.0, high=1.0),
-        "level_difference": MetricInfo("level difference", *_WORSE_DB),
-        "log_spectral_distance": MetricInfo("log-spectral distance", *_WORSE_DB),
-        "pacinian_power_difference": MetricInfo("Pacinian power difference", *_WORSE_DB),
-        "envelope_correlation": MetricInfo("envelope correlation", "better", -1.0, 1.0),
-        "modulation_distance": MetricInfo("modulation spectrum distance", "worse", 0.0),
-        "st_sim": MetricInfo("ST-SIM", "better", 0.0, 1.0),
-        "spqi": MetricInfo("SPQI", "better", 0.0, 1.0),
-    },
-)
+METRIC_INFO: Mapping[str, MetricInfo] = {
+    "spectral_match": MetricInfo("spectral match", high=1.0),
+    "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
+    "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
+    "temporal_match_windowed": MetricInfo("temporal match in windows", low=0.0, high=1.0),
+    "level_difference": MetricInfo("level difference", *_WORSE_DB),
+    "log_spectral_distance": MetricInfo("log-spectral distance", *_WORSE_DB),
+    "pacinian_power_difference": MetricInfo("Pacinian power difference", *_WORSE_DB),
+    "envelope_correlation": MetricInfo("envelope correlation", "better", -1.0, 1.0),
+    "modulation_distance": MetricInfo("modulation spectrum distance", "worse", 0.0),
+    "st_sim": MetricInfo("ST-SIM", "better", 0.0, 1.0),
+    "spqi": MetricInfo("SPQI", "better", 0.0, 1.0),
+}
 """Name of a metric, the match metrics first -> which way it points, its bounds, and how it is called on a page."""
 
 MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
@@ -107,89 +102,4 @@ WRITTEN = (*MATCHES, "temporal_match_windowed")  # the metrics that `build` writ
 ANCHOR = "anchor"  # the role of anchors in the manifest
 ANCHOR_NAMES = ("anchor_low", "anchor_mid")
 
-MEASURES: Mapping[str, str] = Registry(
-    "measure",
-    {
-        "metric_of_reducer": "measure_metric",
-        "rating_of_reducer": "measure_rating",
-        "slope": "measure_slope",
-        "one_axis_against_three": "measure_told_apart",
-        "map_attribute": "measure_attribute",
-        "correlation": "measure_correlation",
-        "rating_excess": "measure_rating_excess",
-    },
-)
-"""What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of
-`feel321.analysis.replication`."""
-
-Expectation = Literal["positive", "negative", "near", "highest", "lowest"]
-"""What a paper's claim says of its number: on which side of zero, near the paper's, or above or below all others."""
-
-Provenance = Literal["full text", "abstract", "ours", "unknown"]
-"""Where a statement about a paper was seen."""
-
 Number = Annotated[float, Interval(ge=-1e9, le=1e9)]
-
-OPTIONS = (
-    "scale", "level", "metric", "metrics", "reducer", "among", "recording", "method", "attribute",
-)  # fmt: skip
-"""What a measure may need to know; `scale` and `level` choose the ratings."""
-
-
-class PaperNumber(NamedTuple):
-    """A paper's number and its range; NaN where it is not known."""
-
-    value: Number = math.nan
-    low: Number = math.nan
-    high: Number = math.nan
-
-
-NO_NUMBER = PaperNumber()
-
-
-@dataclass(frozen=True, slots=True)
-class PaperClaim:
-    """A claim of a paper, `[[paper.claims]]` of study.toml.
-
-    measure: of `MEASURES`. exceptions: reducers that the paper names as exceptions. options: of `OPTIONS`.
-    """
-
-    name: str
-    claim: str
-    source: Provenance
-    measure: str
-    expect: Expectation = "positive"
-    paper: PaperNumber = NO_NUMBER
-    exceptions: tuple[str, ...] = ()
-    options: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        """Refuse names that are none, and numbers out of order."""
-        for what in ("name", "claim"):
-            if not getattr(self, what).strip():
-                raise ValueError(f"{what} must not be empty; fill it in")
-        check_name(self.measure, MEASURES, "measure")
-        value, low, high = self.paper
-        if self.expect == "near" and not math.isfinite(low + high):
-            raise ValueError(
-                "must give the paper's low and high where it expects near; add paper = { low = ..., high = ... }"
-            )
-        known = [one for one in (low, value, high) if not math.isnan(one)]
-        if math.isnan(low) != math.isnan(high) or known != sorted(known):
-            rule = "must have a value, or low and high, or all three in that order"
-            raise ValueError(f"paper {rule}, got {known}")
-        _check_options(self.options)
-        told = {text for text in self.exceptions if text.strip()}
-        if len(told) < len(self.exceptions):
-            rule = "must be different names, none of them empty"
-            raise ValueError(f"exceptions {rule}, got {[*self.exceptions]}")
-
-
-def _check_options(options: Mapping[str, str | tuple[str, ...]]) -> None:
-    for name, own in options.items():
-        check_name(name, OPTIONS, "options")
-        if name != "metrics" and isinstance(own, str) == (name == "among"):
-            must = "a list of names" if name == "among" else "a text"
-            raise ValueError(f"options.{name} must be {must}, got {own!r}")
-        if not all(text.strip() for text in ((own,) if isinstance(own, str) else own)):
-            raise ValueError(f"options.{name} must not be empty; fill it in")
