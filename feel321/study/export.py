@@ -118,7 +118,13 @@ def export_bids(study: StudyFolder, folder: Path, *, simulated: bool = False) ->
             for name in NEEDS
             if not getattr(settings.publication, name)
         ]
-        missing += _write_methods(study, new)
+        # The methods section, if there is a report of these very ratings.
+        path = study.report / "results.json"
+        results = json.loads(read_text(path)) if path.is_file() else {}
+        if results.get("inputs", {}).get("ratings_sha256") == digest_file(study.ratings):
+            _write(new / METHODS, make_methods(study, results, is_dated=False))
+        else:
+            missing.append(NO_METHODS)
         _write_words(study, settings, people, folder=new)
         _write_participants(people, names, path=new / "participants")
         _write_stimuli(study, settings, new / "stimuli")
@@ -279,16 +285,6 @@ def _write_words(
     _write(folder / "README", render("readme.txt", **facts))
     if own.authors:
         _write(folder / "CITATION.cff", render("citation.txt", **facts))
-
-
-def _write_methods(study: StudyFolder, folder: Path) -> list[str]:
-    """Write the methods section, if there is a report of these very ratings; else say that it is missing."""
-    path = study.report / "results.json"
-    results = json.loads(read_text(path)) if path.is_file() else {}
-    if results.get("inputs", {}).get("ratings_sha256") != digest_file(study.ratings):
-        return [NO_METHODS]
-    _write(folder / METHODS, make_methods(study, results, is_dated=False))
-    return []
 
 
 # The methods section of a paper, written from what was done; unrecorded details are in brackets.

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from feel321.arguments import Registry, as_path
 from feel321.files import digest_file, list_csv, open_text, read_bytes, word_fault, write_text
 from feel321.records import Result
-from feel321.stimuli.wav import read_wav
+from feel321.stimuli.wav import read_wav, read_wav_header
 from feel321.types import ANCHOR, PathLike, Samples
 
 if TYPE_CHECKING:
@@ -358,11 +358,12 @@ def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
         if stimulus.clipped:
             yield f"{name}: {stimulus.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
         try:
-            samples, rate = read_wav(path)
+            header = read_wav_header(path)
         except ValueError as error:
             yield str(error)
             return
-        if (n := samples.shape[-1]) != stimulus.n_samples or rate != stimulus.rate_hz:
+        n, rate = header.data_bytes // header.frame_bytes, header.rate_hz
+        if n != stimulus.n_samples or rate != stimulus.rate_hz:
             yield f"{name}: {n} samples at {rate} Hz, but the manifest says otherwise; build again"
 
 

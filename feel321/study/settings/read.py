@@ -38,7 +38,7 @@ from feel321.stimuli.sets.recipe import (
 from feel321.study import own_protocols
 from feel321.study.folder import SETTINGS_FILE, TEMPLATES, StudyFolder
 from feel321.study.session.journal import digest
-from feel321.study.session.opening import identify_frozen
+from feel321.study.session.opening import flatten, identify_frozen
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
@@ -403,10 +403,14 @@ def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | No
     built = read_details(folder)
     origins = {row.get("recording", ""): row.get("recording_sha256", "") for row in built.stimuli}
     wanted, own = json.loads(json.dumps([describe_recipe(recipe), render.list_methods(recipe)]))
-    changes = list(_compare_recipes(built.recipe, wanted))
-    # The lab's own methods, and further metrics, are there where there are any.
-    methods = {kind: getattr(built, kind) for kind in ("reducers", "metrics")}
-    changes += _compare_recipes({kind: one for kind, one in methods.items() if one}, own)
+    methods = {"reducers": built.reducers, "metrics": built.metrics}
+    old = dict([*flatten(built.recipe), *flatten(methods)])
+    new = dict([*flatten(wanted), *flatten(own)])
+    changes = [
+        f"{name}: built with {json.dumps(old.get(name))}; the settings say {json.dumps(new.get(name))}"
+        for name in sorted(old | new)
+        if old.get(name) != new.get(name)
+    ]
     if set(origins) != set(recordings):
         was, named = (", ".join(sorted(names)) for names in (origins, recordings))
         changes.append(f"recordings: built from {was}; the settings name {named}")
@@ -416,17 +420,6 @@ def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | No
         if sha256 is not None and origins.get(name, sha256) != sha256
     ]
     return [f"{folder}: {change}" for change in changes]
-
-
-def _compare_recipes(
-    built: Mapping[str, Any], wanted: Mapping[str, Any], *, table: str = ""
-) -> Iterator[str]:
-    for key in sorted({*built, *wanted}):
-        old, new = built.get(key), wanted.get(key)
-        if isinstance(old, dict) and isinstance(new, dict):
-            yield from _compare_recipes(old, new, table=f"{table}{key}.")
-        elif old != new:
-            yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"
 
 
 # Settings that do not go together, though each is allowed by itself.
