@@ -28,8 +28,9 @@ from cyclopts import App, Argument, CycloptsError, Parameter, UnusedCliTokensErr
 from cyclopts.annotations import resolve_optional
 from cyclopts.exceptions import MissingArgumentError
 
-from feel321 import __version__, files, intake
-from feel321.doors import clean_text
+from feel321 import __version__, files
+from feel321.arguments import clean_text
+from feel321.files import clip
 from feel321.study import options, verbs
 from feel321.study.folder import SETTINGS_FILE, Outcome, StudyFolder, UsageError, require_study
 from feel321.study.study import Study
@@ -176,7 +177,7 @@ def _describe(error: Exception) -> str:
 
 def _complain(message: str, *, code: int) -> int:
     for line in cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
-        echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
+        echo(f"feel321: {clip(clean_text(line), LONGEST)}", err=True)
     return code
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
-from feel321.doors import as_names, as_path, as_seed, follow
+from feel321.arguments import as_names, as_path, as_seed, follow
 from feel321.jobs import as_workers
 from feel321.study.folder import (
     OpenStudy,

@@ -9,8 +9,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321 import intake
-from feel321.doors import as_path, follow, name_of
+from feel321.arguments import as_path, follow, name_of
+from feel321.files import read_small
 from feel321.jobs import as_workers
 from feel321.study.folder import (
     Outcome,
@@ -101,7 +101,7 @@ def demo(*, out: options.Target = Path("demo-study")) -> None:
     refusal = ""
     if not folder.settings.is_file():
         refusal = f"{folder.path}: holds files that demo did not write"
-    elif intake.read_small(folder.settings) != read_template():
+    elif read_small(folder.settings) != read_template():
         refusal = f"{folder.settings}: edited, or written by another version of feel321"
     elif people:
         refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"

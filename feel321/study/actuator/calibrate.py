@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import fft
 
-from feel321.doors import follow
+from feel321.arguments import follow
 from feel321.files import make_folder, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator import certificate as certificates
