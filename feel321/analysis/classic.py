@@ -26,7 +26,7 @@ from feel321.analysis.arrays import (
     read_groups,
 )
 from feel321.analysis.table.items import Table, is_tidy, make_items, open_tests
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.records import Statistic
 from feel321.types import Direction
 

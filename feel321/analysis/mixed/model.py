@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from feel321.analysis.arrays import UPPER
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
-from feel321.doors import describe
+from feel321.arguments import describe
 from feel321.records import Statistic
 from feel321.types import Samples
 

@@ -26,8 +26,7 @@ import pandas as pd
 from pandas import DataFrame, Series
 
 from feel321.analysis.table import schema
-from feel321.names import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN
-from feel321.types import MetricInfo
+from feel321.types import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN, MetricInfo
 
 DECLARED = "manifest.json"
 """File beside a manifest whose ``metrics`` say what the columns of metrics are."""

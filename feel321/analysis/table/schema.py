@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 from pandas import DataFrame, Series
 
-from feel321 import intake
+from feel321.files import clip, decode, read_bytes
 
 LOWEST, HIGHEST = 0.0, 100.0  # The ends of every rating scale
 LARGEST = 1e12
@@ -209,16 +209,16 @@ def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
 
 def shorten(text: str) -> str:
     """Quote a cell for a message that is to stay one line."""
-    return repr(intake.clip(text))
+    return repr(clip(text))
 
 
 def _read_file(path: Path, kinds: Mapping[str, str], needed: Sequence[str]) -> DataFrame:
     """Read a file's cells; the index says in which line a row begins."""
-    what, content = path.name, intake.read_bytes(path)
+    what, content = path.name, read_bytes(path)
     for mark, kind in FOREIGN.items():
         if content.startswith(mark):
             raise ValueError(f"{what}: must be plain UTF-8 text, got {kind}")
-    reader = csv.reader(io.StringIO(intake.decode(content, what), newline=""), strict=True)
+    reader = csv.reader(io.StringIO(decode(content, what), newline=""), strict=True)
     try:
         header, line, rows = next(reader, []), reader.line_num + 1, {}
         for row in reader:
