@@ -20,7 +20,7 @@ from feel321.analysis.agreement import SMALLEST, find_ceiling
 from feel321.analysis.arrays import PERFECT, Values, check_draws
 from feel321.analysis.contrasts.compare import stimulus_means
 from feel321.analysis.table.items import Items, Table, choose_arms, make_items
-from feel321.doors import as_rng, check_name
+from feel321.arguments import as_rng, check_name
 from feel321.records import Statistic
 from feel321.types import MetricInfo, Rng
 
@@ -138,16 +138,6 @@ def compare_metrics(  # noqa: PLR0913 - as `correlate`
     atanh r2, the interval is d ± t(.975, R - 1) sqrt(R / (R - 1)) SD(d*), P in the place of R as for
     `correlate`. It is expressed as a difference of correlations by d -> tanh(m + d / 2) - tanh(m - d / 2), m the mean
     of the two z.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> tidy = pd.DataFrame({"participant": list("aaaabbbb"), "recording": list("rrssrrss"),
-    ...     "reducer": ["mag321", "dft321"] * 4, "good": [0.2, 1, 0.4, 1] * 2, "poor": [0.3, 0.1, 0.9, 0.2] * 2,
-    ...     "rating": [20, 70, 35, 90, 25, 80, 30, 75]})
-    >>> round(analysis.compare_metrics(tidy, "good", "poor", draws=100).value, 1)
-    1.6
     """
     if first == second:
         raise ValueError(f"second must be another metric than the first, got {second!r} twice")

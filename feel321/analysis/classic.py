@@ -26,7 +26,7 @@ from feel321.analysis.arrays import (
     read_groups,
 )
 from feel321.analysis.table.items import Table, is_tidy, make_items, open_tests
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.records import Statistic
 from feel321.types import Direction
 
@@ -35,7 +35,6 @@ PARAMETERS = {0: 1, 1: 2, 3: 4}  # Order -> degrees of freedom that it takes off
 NORMAL_QUANTILE = 1.96  # The standard's rounded one; also for an item's interval from 30 votes on
 MANY_VOTES = 30
 FEW_ITEMS = 30  # With fewer items a cubic bends to noise: the first order leads
-MOST_FOLDS = 200  # Groups left out one at a time; of more, several together, or it takes hours
 FEWEST = 4  # Cases that Fisher's z and Williams' t need at least: both divide by n - 3
 NAN = float("nan")
 
@@ -248,17 +247,14 @@ def _map_out_of_fold(
     numbers, names = read_groups(groups, n=len(x), what="item")
     if len(names) < 2:  # noqa: PLR2004 - one to fit to, one to predict
         raise ValueError(f"groups must be two or more, got the one group {names[0]}; leave it out")
-    mapped, n_beyond, step = np.empty_like(x), 0, -(-len(names) // MOST_FOLDS)
-    for first in range(0, len(names), step):
-        held = (numbers >= first) & (numbers < first + step)
+    mapped, n_beyond = np.empty_like(x), 0
+    for place in range(len(names)):
+        held = numbers == place
         known = np.clip(x[held], x[~held].min(), x[~held].max()) if clipped else x[held]
         mapped[held] = fit(x[~held], mos[~held])(known)
         n_beyond += int((known != x[held]).sum())
-    notes = [f"{len(names)} groups are left out {step} at a time."] if step > 1 else []
-    if n_beyond:
-        where = "beyond the metric's range in the other groups"
-        notes.append(f"{n_beyond} items lie {where}; the cubic is held at its end there.")
-    return mapped, notes
+    where = "beyond the metric's range in the other groups; the cubic is held at its end there"
+    return mapped, [f"{n_beyond} items lie {where}."] if n_beyond else []
 
 
 def _correlate(mos: Values, other: Values) -> float:

@@ -82,7 +82,9 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
 
     All arrays: (..., n_items).
     """
-    x, y, weights = np.broadcast_arrays(_scale_down(x), _scale_down(y), weights)
+    # Divided by a power of two, which is exact, so that no square overflows.
+    x, y = (np.ldexp(one, -np.frexp(np.abs(one).max(axis=-1, keepdims=True))[1]) for one in (x, y))
+    x, y, weights = np.broadcast_arrays(x, y, weights)
     total = weights.sum(axis=-1, keepdims=True)
     with np.errstate(invalid="ignore", divide="ignore"):
         from_mean_x = x - (weights * x).sum(axis=-1, keepdims=True) / total
@@ -92,12 +94,6 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
         flat_y = yy <= FLAT * (weights * y**2).sum(axis=-1)
         r = (weights * from_mean_x * from_mean_y).sum(axis=-1) / (np.sqrt(xx) * np.sqrt(yy))
     return np.where(flat_x | flat_y, np.nan, np.clip(r, -1, 1))
-
-
-def _scale_down(values: Values) -> Values:
-    """Divide by a power of two, which is exact, so that no square overflows."""
-    scaled: Values = np.ldexp(values, -np.frexp(np.abs(values).max(axis=-1, keepdims=True))[1])
-    return scaled
 
 
 def weighted_spearman(x: Values, y: Values, *, weights: Values) -> Values:

@@ -3,13 +3,8 @@
 Nothing here removes anybody: a flag is a reason to look, and a deletion needs a documented error. Rules without a
 standard as their source are extensions, with limits by convention.
 
-References
-----------
-.. [1] J. W. Tukey, Exploratory Data Analysis, 1977: hinges and fences.
-.. [2] R. Pfister et al., Good things peak in pairs: a note on the bimodality coefficient, Frontiers in Psychology 4,
-   2013, 700. doi:10.3389/fpsyg.2013.00700
-.. [3] Recommendation ITU-R BS.1534-3 (2015), Method for the subjective assessment of intermediate quality level of
-   audio systems, on post-screening of assessors.
+Sources: Tukey, Exploratory Data Analysis (1977), of hinges and fences; Pfister et al. (2013), doi
+10.3389/fpsyg.2013.00700, of the bimodality coefficient; Recommendation ITU-R BS.1534-3 (2015), on post-screening.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -22,9 +17,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from pandas import DataFrame, Series
 
-from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
+from feel321.analysis.agreement import FLOOR, SMALLEST, gauge_raters, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import FLAT, Values, check_columns, read_numbers
-from feel321.analysis.consistency import FLOOR, gauge_raters
 from feel321.analysis.resampling import weighted_pearson
 from feel321.analysis.table.items import (
     STIMULUS,
@@ -35,7 +29,7 @@ from feel321.analysis.table.items import (
     refuse_unnamed,
 )
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.doors import as_rng, check_name
+from feel321.arguments import as_rng, check_name
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.records import Statistic
 from feel321.types import Rng
@@ -77,7 +71,7 @@ def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]
 
 
 def multimodality(values: ArrayLike) -> float:
-    """Measure whether values may have more than one peak: above 5/9 [2]_; NaN for fewer than 4, and constants.
+    """Measure whether values may have more than one peak: above 5/9; NaN for fewer than 4, and constants.
 
     (g² + 1) / (k + 3 (n - 1)² / ((n - 2)(n - 3))), g the skewness and k the excess kurtosis, corrected for n.
     With fewer than some 20 raters it scatters widely.
@@ -221,9 +215,13 @@ def _compare(
     return pd.DataFrame({**columns, "limit": limits, "hit": hit}, index=share.index)
 
 
-def _count_bad(rows: DataFrame, bad: Series, *, limit: float) -> DataFrame:
-    """Count how often each participant did what a rule forbids, and compare the share with its limit."""
-    count, n = _count(rows[bad]), _count(rows)
+def _count_beyond(
+    rows: DataFrame, limit: float, *, column: str, end: float, below: bool = False
+) -> DataFrame:
+    """Count how often a column of each participant is beyond an end, and compare the share with its limit."""
+    known = rows[rows[column].notna()]
+    bad = known[column] < end if below else known[column] > end
+    count, n = _count(known[bad]), _count(known)
     return _compare(count, n, count / n.where(n > 0), limit=limit)
 
 
@@ -235,13 +233,7 @@ def _rate_anchor(rows: DataFrame, limit: float, *, kind: str, end: float) -> Dat
         means = mid.groupby(["excerpt", "participant"], observed=True)["rating"].mean()
         shares = (means > EXCELLENT).groupby("excerpt").mean()
         judged = judged[~judged["excerpt"].isin(shares.index[shares > MOST_RATERS])]
-    bad = judged["rating"] < end if kind == "reference" else judged["rating"] > end
-    return _count_bad(judged, bad, limit=limit)
-
-
-def _too_fast(rows: DataFrame, limit: float) -> DataFrame:
-    timed = rows[rows["time"].notna()]
-    return _count_bad(timed, timed["time"] < FASTEST_S, limit=limit)
+    return _count_beyond(judged, limit, column="rating", end=end, below=kind == "reference")
 
 
 def _outliers(rows: DataFrame, limit: float) -> DataFrame:
@@ -311,12 +303,6 @@ def _repeat_sd(rows: DataFrame, limit: float) -> DataFrame:
     return _compare(n, n, share.where(n >= FEWEST_JUDGEMENTS), limit=widened)
 
 
-def _check_expertise(gauge: DataFrame, limit: float) -> DataFrame:
-    """Find raters who are no better than their own shuffled ratings."""
-    defined = gauge[gauge["value"].notna()]
-    return _count_bad(defined, defined["p"] > 1 - FLOOR, limit=limit)
-
-
 class Rule(NamedTuple):
     """A rule about raters; find: prepared ratings, or the gauge for expertise, and limit -> table by participant."""
 
@@ -362,7 +348,7 @@ RULES: Mapping[str, Rule] = MappingProxyType({
     ),
     "too_fast": Rule(
         "more than {limit:.0%} of answers within 0.5 s",
-        EXTENSION, 0.15, _too_fast, "column 'response_time_s'",
+        EXTENSION, 0.15, partial(_count_beyond, column="time", end=FASTEST_S, below=True), "column 'response_time_s'",
     ),
     "outliers": Rule(
         "outside Tukey's fences on more than {limit:.0%} of test stimuli",
@@ -370,7 +356,8 @@ RULES: Mapping[str, Rule] = MappingProxyType({
     ),
     EXPERTISE: Rule(
         "more than {limit:.0%} of discrimination, reliability and agreement no better than shuffled ratings",
-        "in the manner of Report ITU-R BS.2300", 0.5, _check_expertise, "test stimuli rated twice or by others too",
+        "in the manner of Report ITU-R BS.2300", 0.5, partial(_count_beyond, column="p", end=1 - FLOOR),
+        "test stimuli rated twice or by others too",
     ),
 })  # fmt: skip
 """Name -> rule, in the order of reports."""

@@ -24,7 +24,7 @@ from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table.items import Table, split_tests
 from feel321.analysis.table.reading import Further, read_table
 from feel321.analysis.words import format_name
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING
@@ -41,7 +41,6 @@ Numbers = int | Sequence[int]
 Row = dict[str, Any]
 
 OWN = "study"  # A pilot that is no file: the study's own ratings
-KEPT = ".studies"  # Folder of simulated studies: an interrupted call is continued from there
 PEOPLE = 16  # Raters of each attribute in the design around which others are compared
 FEWEST = 3  # Raters of each attribute below which there is no model
 MOST_POINTS = 100  # more than the whole scale per step of a metric is a slip
@@ -245,13 +244,12 @@ def _fit_pilot(table: Table, metrics: Sequence[str], *, name: str, known: Truth)
     )  # fmt: skip
 
 
-def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studies, who does them, who watches
+def plan_study(
     task: PowerTask,
     sizes: Mapping[str, Numbers],
     *,
     studies: int = 1000,
     seed: int = 0,
-    keep: Path | None = None,
     workers: Workers,
     progress: Callable[[int, int], None],
 ) -> "StudyPower":
@@ -280,7 +278,7 @@ def plan_study(  # noqa: PLR0913 - the numbers that are compared; how many studi
         nonlocal run
         done, run = min(run, planning.TRIED), run + 1
         return planning.simulate_studies(
-            design, studies=studies, seed=seed, workers=workers, keep=keep,
+            design, studies=studies, seed=seed, workers=workers,
             progress=lambda part, parts: progress(done * parts + part, whole * parts),
         )  # fmt: skip
 

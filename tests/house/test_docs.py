@@ -196,7 +196,7 @@ def test_every_setting_is_accepted(blocks: list[tuple[str, str, str]], tmp_path:
     study, rig = tmp_path / "study.toml", tmp_path / "rig.toml"
     for text in (text for _, language, text in blocks if language == "toml"):
         given = tomllib.loads(text)
-        if {"actuators", "keys", "trigger"} & given.keys():
+        if {"actuators", "keys", "sync"} & given.keys():
             rig.write_text(RIG + text, encoding="utf-8")
             read_rig(rig)
         else:

@@ -118,10 +118,6 @@ def _refuse(formula: str, why: str) -> ValueError:
     return ValueError(f"formula {formula!r} cannot be fitted: {why}")
 
 
-def _miss(name: str, data: DataFrame) -> str:
-    return f"no column {name!r}; columns are {', '.join(map(str, data))}"
-
-
 def _expand(text: str, formula: str, data: DataFrame) -> Columns:
     """Write out a sum of columns of numbers without formulaic, which takes a tenth of a fit; all else with it."""
     pieces = text.split(" + ")
@@ -156,7 +152,8 @@ def _run_formulaic(text: str, formula: str, data: DataFrame) -> Columns:
     except known as error:
         why = "".join(str(error).splitlines()[:1])
         if missing := re.search("NameError: `([^`]+)`", why):
-            raise _refuse(formula, _miss(missing[1], data)) from error
+            why = f"no column {missing[1]!r}; columns are {', '.join(map(str, data))}"
+            raise _refuse(formula, why) from error
         raise _refuse(formula, f"cannot read {text!r} ({why})") from error
     # Rows whose category is missing come out as zeros, as if they were of the first one.
     for name in matrix.model_spec.required_variables:
@@ -219,7 +216,7 @@ def _number_levels(names: Sequence[str], formula: str, data: DataFrame) -> Facto
     combined = np.zeros(len(data), dtype=np.intp)
     for name in names:
         if name not in data:
-            raise _refuse(formula, _miss(name, data))
+            raise _refuse(formula, f"no column {name!r}; columns are {', '.join(map(str, data))}")
         codes, values = data[name].factorize(sort=True)
         if (codes < 0).any():
             got = f"got {int((codes < 0).sum())} rows without; leave them out"

@@ -12,12 +12,15 @@ from scipy.stats import t as student
 from feel321.analysis.arrays import UPPER
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
-from feel321.doors import describe
+from feel321.arguments import describe
 from feel321.records import Statistic
 from feel321.types import Samples
 
 NEAR = 1e-5  # A step of a spread after which second derivatives are computed anew
 STEPS = 3  # Of Newton's method at most
+POLISH = 0.1  # Longest such step, in units of a spread
+ROUNDING = 1e-6  # What a deviance of some thousands is known to
+FLAT = 1e-8  # Curvature below this carries no information: a spread at its boundary
 BOUND = 1 - 1e-6  # A correlation beyond this is one of ±1 but for rounding
 
 
@@ -57,19 +60,34 @@ def find_uncertainty(
 ) -> tuple[optimum.State, Uncertainty]:
     """Compute how the fixed effects' covariance depends on the spreads, and how well those are known.
 
-    The spreads' covariance is 2 H⁻¹, H the second derivatives of the deviance before s is profiled out; directions in
-    which H is not positive carry no information and are left out, as lmerTest does. Newton's last step comes first.
+    The search stops where the deviance no longer falls but for rounding, 1e-5 or so beside the minimum: Newton's last
+    steps come first. The spreads' covariance is 2 H⁻¹, H the second derivatives of the deviance before s is profiled
+    out; directions in which H is not positive carry no information and are left out, as lmerTest does.
     """
     hessian, slopes = profile.differentiate(best)
     for _ in range(STEPS):
-        polished = optimum.polish(profile, best, hessian)
-        moved, best = np.abs(polished.theta - best.theta).max(), polished
-        if moved <= NEAR:
+        unit, slope = np.maximum(np.abs(best.theta), 1), profile.find_slope(best)
+        slope[profile.penalised] -= 2 / best.theta[profile.penalised]
+        # The residual's spread follows the others.
+        along = np.outer(hessian[:-1, -1], hessian[-1, :-1]) / hessian[-1, -1]
+        free = np.flatnonzero(best.theta != 0)
+        values, vectors = np.linalg.eigh((hessian[:-1, :-1] - along)[np.ix_(free, free)])
+        steep = values > FLAT
+        down = vectors[:, steep].T @ (slope * unit)[free] / values[steep]
+        step = np.zeros_like(best.theta)
+        step[free] = -(vectors[:, steep] @ down) * unit[free]
+        if not np.abs(step / unit).max(initial=0.0) < POLISH:
+            break
+        moved = profile.evaluate(best.theta + step)
+        if profile.target(moved) > profile.target(best) + ROUNDING:
+            break
+        best = moved
+        if np.abs(step).max(initial=0.0) <= NEAR:
             break
         hessian, slopes = profile.differentiate(best)
     effects, relative = profile.find_coefficients(best)
     values, vectors = np.linalg.eigh(hessian)
-    kept = values > optimum.FLAT
+    kept = values > FLAT
     parameters = 2 * (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     covariance = relative * profile.find_sigma(best) ** 2
     return best, Uncertainty(effects, covariance, slopes, parameters, most_df)

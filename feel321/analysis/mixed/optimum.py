@@ -39,10 +39,6 @@ ZERO = 1e-4  # A relative spread below this is none: what lme4 calls singular
 LARGEST = 1e5  # A spread so many times the residual means that there is no residual
 PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
 STEP = 1e-4  # Share of a relative spread, or of 1 if that is more, by which it is moved
-FLAT = 1e-8  # Curvature below this carries no information: a spread at its boundary
-POLISH, ROUNDING = 0.1, 1e-6
-"""Longest step, in units of a spread, that Newton's method may take from where the search stopped; what a deviance of
-some thousands is known to."""
 
 
 @dataclass(frozen=True)
@@ -432,25 +428,3 @@ def _descend(profile: Profile, start: Samples) -> State:
     settled = found * np.where(found[profile.of_spread] < 0, -1.0, 1.0)
     settled[profile.diagonal & (settled < ZERO) & ~held] = 0.0
     return profile.evaluate(settled)
-
-
-def polish(profile: Profile, state: State, hessian: Samples) -> State:
-    """Take Newton's last step from where the search stopped, with second derivatives as `differentiate` returns them.
-
-    The search stops where the deviance no longer falls but for rounding: 1e-5 or so beside the minimum.
-    """
-    unit = np.maximum(np.abs(state.theta), 1)
-    slope = profile.find_slope(state)
-    slope[profile.penalised] -= 2 / state.theta[profile.penalised]
-    # The residual's spread follows the others.
-    curvature = hessian[:-1, :-1] - np.outer(hessian[:-1, -1], hessian[-1, :-1]) / hessian[-1, -1]
-    free = np.flatnonzero(state.theta != 0)
-    values, vectors = np.linalg.eigh(curvature[np.ix_(free, free)])
-    steep = values > FLAT
-    down = vectors[:, steep].T @ (slope * unit)[free] / values[steep]
-    step = np.zeros_like(state.theta)
-    step[free] = -(vectors[:, steep] @ down) * unit[free]
-    if not np.abs(step / unit).max(initial=0.0) < POLISH:
-        return state
-    moved = profile.evaluate(state.theta + step)
-    return moved if profile.target(moved) <= profile.target(state) + ROUNDING else state

@@ -203,13 +203,21 @@ def fit_primary(
     if explain and level == IN_MODEL:
         bare = fit_slopes(cells.ignore_level(), reducers=reducers).table
         plain = bare[["estimate", "p"]].set_axis(["plain", "plain_p"], axis=1)
+    differences, scales = [], _find_scales(cells, terms)
+    for first, second in combinations(scales, 2):
+        row: dict[str, object] = {"first": first, "second": second}
+        both = {"": (1.0, 1.0), "standardised_": (scales[first], scales[second])}
+        for prefix, (one, other) in both.items():
+            estimate = found.solved.estimate({f"{first}_w": one, f"{second}_w": -other})
+            row |= {f"{prefix}{name}": value for name, value in _blank(estimate, lack=lack).items()}
+        differences.append(row)
     between = [name for name in terms.fixed if name[-2:] == "_b"]
     rows_between = [_blank(found.solved.estimate({name: 1.0}), lack=lack) for name in between]
     index = pd.Index([name[:-2] for name in between], name="metric", dtype=object)
     return Primary(
         "Primary", slopes=found.table.join([centred, plain]),
         between=pd.DataFrame(rows_between, index=index, columns=["estimate", *TESTED]),
-        differences=_tabulate_differences(found), formula=terms.formula, fit=fit, marginal_r2=fit.marginal_r2,
+        differences=pd.DataFrame(differences), formula=terms.formula, fit=fit, marginal_r2=fit.marginal_r2,
         conditional_r2=fit.conditional_r2, item_variance_explained=explained, averaged=cells.averaged,
         n_rows=fit.n_rows, n_participants=cells.count(WHO), n_recordings=cells.count(SCENE), n_items=cells.count(ITEM),
         n_sources=cells.n_sources, n_reducers=cells.count(REDUCER),
@@ -300,19 +308,6 @@ def _find_scales(cells: Cells, terms: Terms) -> dict[str, float]:
     spread = cells.table[RATING].std()
     within = [name for name in terms.fixed if name.endswith("_w")]
     return {name[:-2]: float(cells.table[name].std() / spread) for name in within}
-
-
-def _tabulate_differences(found: Slopes) -> pd.DataFrame:
-    rows, lack = [], _find_lack(found.cells)
-    scales = _find_scales(found.cells, found.terms)
-    for first, second in combinations(scales, 2):
-        row: dict[str, object] = {"first": first, "second": second}
-        both = {"": (1.0, 1.0), "standardised_": (scales[first], scales[second])}
-        for prefix, (one, other) in both.items():
-            estimate = found.solved.estimate({f"{first}_w": one, f"{second}_w": -other})
-            row |= {f"{prefix}{name}": value for name, value in _blank(estimate, lack=lack).items()}
-        rows.append(row)
-    return pd.DataFrame(rows)
 
 
 def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[pd.DataFrame, list[str]]:

@@ -32,7 +32,7 @@ from feel321.analysis.primary.plan import (
 )
 from feel321.analysis.primary.plan import LEVEL as COVARIATE
 from feel321.analysis.table.metrics import order_reducers
-from feel321.analysis.table.schema import HIGHEST
+from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.types import Samples
 
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"  # Verdicts
@@ -75,24 +75,24 @@ def _fit(
     return found.table.reindex(list(found.cells.metrics)), reason, found
 
 
-def vary_primary(rows: pd.DataFrame, metrics: Sequence[str], *, top: float = 100.0) -> pd.DataFrame:
+def vary_primary(rows: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
     """Repeat the primary analysis under other choices: one row per variant and metric.
 
-    rows: as for `fit_primary`; ratings from 0 to top. Columns: variant, unit (of estimate, low and high: points, rater
+    rows: as for `fit_primary`; ratings from 0 to 100. Columns: variant, unit (of estimate, low and high: points, rater
     SDs or logits, per unit of the metric), metric, estimate se df t p low high, standardised slope with its interval,
     singular, and reason (why a variant has no numbers, or what its model lacks or leaves out).
 
     Variants: people's slopes correlated; no terms for reducers; no level; each rater's ratings standardised, which
-    takes out how much of the scale they use; ratings as logits of (y (n - 1) + 1/2) / n, y = rating / top and n their
+    takes out how much of the scale they use; ratings as logits of (y (n - 1) + 1/2) / n, y = rating / 100 and n their
     number (Smithson & Verkuilen 2006, doi 10.1037/1082-989X.11.1.54), which takes out the crowding at the scale's
     ends. Only standardised slopes compare across units. Where rows have them: the metrics of what was delivered; the
     rig as a factor (mean ratings of each rig and recording taken out); without the people on each rig.
     """
     rows, notes = select_rows(rows)
     ratings = read_numbers(rows[RATING], what=f"rows, {RATING!r}")
-    if ratings.min() < 0 or ratings.max() > top:
-        got = f"got {ratings.min():g} to {ratings.max():g}; give top"
-        raise ValueError(f"rows must have ratings from 0 to {top:g}, {got}")
+    if ratings.min() < LOWEST or ratings.max() > HIGHEST:
+        got = f"got {ratings.min():g} to {ratings.max():g}"
+        raise ValueError(f"rows must have ratings from 0 to 100, {got}; leave others out")
     rows = rows.assign(**{RATING: ratings})
     cells, own = make_cells(rows, metrics), rows.groupby(WHO, observed=True)[RATING]
     spread = own.transform("std").fillna(0)
@@ -100,7 +100,7 @@ def vary_primary(rows: pd.DataFrame, metrics: Sequence[str], *, top: float = 100
     names = ", ".join(map(str, rows.loc[steady, WHO].unique()))
     note = f"Without {names}, whose ratings are all the same." if names else ""
     scaled = rows.assign(**{RATING: (rows[RATING] - own.transform("mean")) / spread.mask(steady)})
-    share = (rows[RATING] / top * (len(rows) - 1) + 0.5) / len(rows)
+    share = (rows[RATING] / HIGHEST * (len(rows) - 1) + 0.5) / len(rows)
     logits = rows.assign(**{RATING: np.log(share / (1 - share))})
     variants: list[Variant] = [
         ("primary", lambda: cells, "", {}),
@@ -164,11 +164,6 @@ class Influence:
     table: pd.DataFrame
     exceptions: pd.DataFrame
     notes: tuple[str, ...] = ()
-
-    def find_turns(self, metric: str) -> pd.DataFrame:
-        """Find the units without which a metric's verdict or sign changes, the largest change first."""
-        moves = self.find_moves(metric)
-        return moves if moves.empty else moves[moves["turns"]]
 
     def find_moves(self, metric: str) -> pd.DataFrame:
         """Find the units without which a metric's slope changes by more than its standard error, or turns."""

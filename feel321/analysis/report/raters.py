@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pandas as pd
 
-from feel321.analysis.consistency import rater_model
+from feel321.analysis.agreement import rater_model
 from feel321.analysis.primary.model import adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import conclude, list_changes
@@ -19,7 +19,7 @@ from feel321.analysis.screening import RULES, screen_raters
 from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import format_name
-from feel321.names import MATCHES
+from feel321.types import MATCHES
 
 if TYPE_CHECKING:
     from pandas import DataFrame
