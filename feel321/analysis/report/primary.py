@@ -74,7 +74,7 @@ def compute(table: Table, choices: Choices) -> Found:
         ])
         found.verdicts += [{key: one[key] for key in VERDICT} for one in findings]
         _add_rows(found, part, model, influence=influence, slopes=rows)
-        told.append(_describe_part(part, model, influence, findings=findings) | {"sizes": units})
+        told.append(_describe_part(part, model, influence, findings=findings))
     for loss in losses:
         keys = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
         found.verdicts += [keys | {"metric": name} | BLANK for name in loss["metrics"]]
@@ -166,7 +166,6 @@ def conclude_slope(
     # The units without which a metric that predicts does not, or not in this direction.
     moves = influence.find_moves(metric).to_dict("records")
     hinges = [describe(unit) for unit in moves if unit["turns"] and verdict == PREDICTS]
-    moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
     steady = verdict == PREDICTS and direction == expected and not hinges
     pairs = model.differences.to_dict("records") if steady else []
     return {
@@ -181,7 +180,7 @@ def conclude_slope(
         "few": parts.list_few(units, FEWEST if verdict == NOT_ESTIMABLE else FEW),
         "beyond_level": sensitivity.judge_level(model.level, row["p_holm"], row["plain_p_holm"]),
         "quartile": read_ends(row, "quartile_effect quartile_low quartile_high"), "p": row["p_holm"],
-        "step": read_ends(row), "per": row["per"], "hinges": hinges, "moves": [] if hinges else moved,
+        "step": read_ends(row), "per": row["per"], "hinges": hinges,
     }  # fmt: skip
 
 
@@ -243,8 +242,8 @@ def _describe_part(
         "exceptions": [row for row in odd if row["exceptional"]],
         "spreads": list(filter(None, spreads)),
         "unbounded": any(one["metric"] in STAND_INS.values() for one in findings),
-        "n_items": model.n_items, "n_recordings": model.n_recordings,
-        "level": model.level, "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
+        "n_items": model.n_items, "level": model.level,
+        "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
     }  # fmt: skip
 
 
