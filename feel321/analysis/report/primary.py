@@ -166,6 +166,7 @@ def conclude_slope(
     # The units without which a metric that predicts does not, or not in this direction.
     moves = influence.find_moves(metric).to_dict("records")
     hinges = [describe(unit) for unit in moves if unit["turns"] and verdict == PREDICTS]
+    moved = [describe(unit) for unit in moves if abs(unit["shift"]) > sensitivity.MOVED]
     steady = verdict == PREDICTS and direction == expected and not hinges
     pairs = model.differences.to_dict("records") if steady else []
     return {
@@ -180,7 +181,7 @@ def conclude_slope(
         "few": parts.list_few(units, FEWEST if verdict == NOT_ESTIMABLE else FEW),
         "beyond_level": sensitivity.judge_level(model.level, row["p_holm"], row["plain_p_holm"]),
         "quartile": read_ends(row, "quartile_effect quartile_low quartile_high"), "p": row["p_holm"],
-        "step": read_ends(row), "per": row["per"], "hinges": hinges,
+        "step": read_ends(row), "per": row["per"], "hinges": hinges, "moves": [] if hinges else moved,
     }  # fmt: skip
 
 
