@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.primary.model import Primary
-    from feel321.records import Statistic
     from feel321.stimuli.recording import Recording, Reduced
 
 
@@ -97,31 +96,6 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
         looks=figures.look_up(frame["metric"]), heading="model" if any(frame["model"]) else "",
     )  # fmt: skip
     ax.set_xlabel("Change in rating per +0.1 of the metric")
-    return ax
-
-
-def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -> Axes:
-    """Plot correlations with their 95 % two-way intervals, and the noise ceiling of each as a vertical line.
-
-    Parameters
-    ----------
-    found : Statistic or DataFrame
-        What `correlate` returned, or a table of such: a row each.
-    ax : Axes, optional
-        Where to plot; a new figure if left out.
-    """
-    import pandas as pd
-
-    frame = (found if isinstance(found, pd.DataFrame) else found.to_frame()).reset_index()
-    ax = _find_axes(ax)
-    keys = [key for key in ("scale", "level", "metric", "method") if key in frame]
-    keys = [key for key in keys if key == "metric" or len(frame[key].unique()) > 1]
-    words = frame[keys].astype(str).map(format_name)
-    ceilings = frame["ceiling"].to_numpy(float)
-    include = (0.0, *ceilings[np.isfinite(ceilings)])
-    figures.plot_forest(ax, frame.assign(name=words.agg(", ".join, axis=1)), include=include)
-    ax.vlines(ceilings, np.arange(len(frame)) - 0.3, np.arange(len(frame)) + 0.3, color="0.4")
-    ax.set_xlabel("Correlation with mean ratings")
     return ax
 
 

@@ -297,9 +297,10 @@ def measure_lean(items: Items, method: str, drawn: Draws) -> Values:
     return mean
 
 
-def count_scarcest(items: Items, drawn: Draws) -> int:
-    """Count the units that limit a two-way interval: whichever there are fewer of is known less well."""
-    if not drawn.of_recordings.size:
-        return min(items.n_participants, items.n_sources)
-    speaking = min(len(np.unique(items.of_source[np.isfinite(row)])) for row in drawn.of_recordings)
-    return min(items.n_participants, speaking)
+def count_scarcest(items: Items, within: Values) -> int:
+    """Count the units that limit a two-way interval: whichever there are fewer of is known less well.
+
+    within: (n_metrics, n_recordings), none where the correlation is not within recordings.
+    """
+    speaking = [len(np.unique(items.of_source[np.isfinite(row)])) for row in within if row.size]
+    return min(items.n_participants, *(speaking or [items.n_sources]))
