@@ -119,8 +119,8 @@ def p1401(
     Notes
     -----
     Per item with n votes and standard deviation s (n - 1): MOS, and ci = q s / √n with q = t(.975, n - 1)
-    below 30 votes and 1.96 from there on. The mapping is least squares and monotone over the metric's whole
-    range. With e = MOS - MOSp and d = 4 (cubic), 2 (line) or 1 (none, and out of fold: nothing was fitted to the item)::
+    below 30 votes and 1.96 from there on. The mapping is least squares and monotone over the metric's range. With
+    e = MOS - MOSp and d = 4 (cubic), 2 (line) or 1 (none, and out of fold: nothing was fitted to the item)::
 
         rmse  = √(Σ e² / (N - d))
         rmse* = √(Σ max(0, |e| - ci)² / (N - d))

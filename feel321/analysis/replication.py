@@ -338,7 +338,7 @@ def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> Clai
 
 def explain_spread(rows: DataFrame, metric: str) -> str:
     """Say why a spread may go with ratings the wrong way, where it rises with its mean; else nothing."""
-    from feel321.analysis.page import render_words
+    from feel321.analysis.words import render_words
 
     mean = metric.removesuffix(SD) + MEAN
     if not (metric in ROTATIONS and metric.endswith(SD) and {metric, mean} <= set(rows)):

@@ -1,4 +1,7 @@
-"""How names and numbers are written, so that text, tables and figures agree; sentences are in the templates."""
+"""How names and numbers are written, so that text, tables and figures agree; sentences are in the templates.
+
+Templates are rendered here too, with style sheet, drawings and script inside one HTML file.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,17 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from jinja2 import Environment
+
     from feel321.types import MetricInfo
+
+TEMPLATES = Path(__file__).parent / "templates"
 
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"  # Written where a number is not defined
@@ -124,11 +133,6 @@ def keep_together(value: object) -> object:
     return TORN.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
 
 
-def name_path(*parts: str) -> str:
-    """Join names to one, without two lists of names that give the same."""
-    return ".".join(part.replace("%", "%25").replace(".", "%2E") for part in parts)
-
-
 def join_words(names: Sequence[str], last: str = "and") -> str:
     """List names in a sentence: a, b and c."""
     return f" {last} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
@@ -189,3 +193,70 @@ def format_p(p: float) -> str:
     """Write a probability behind its name."""
     told = format_number(p, kind="p")
     return f"p {told if told.startswith('<') else f'= {told}'}"
+
+
+# Templates.
+
+
+def render_template(name: str, **values: object) -> str:
+    """Render a page, which finds the style sheet as `style` and the filters of `FILTERS`."""
+    style = (TEMPLATES / "page.css").read_text(encoding="utf-8")
+    return _open_templates(escape=True).get_template(name).render(style=style, **values)
+
+
+def render_words(name: str, macro: str = "lines", **facts: object) -> tuple[str, ...]:
+    """Render the sentences of a section, ``templates/words/NAME.j2``: paragraphs, parted by empty lines.
+
+    A line break and the spaces around it are a space; spaces before a point, comma or bracket are left out, so that a
+    template may be laid out for reading.
+    """
+    template = _open_templates(escape=False).get_template(f"words/{name}.j2")
+    text = str(getattr(template.module, macro)(**facts))
+    paragraphs = (re.sub(r"[ \n\t]+", " ", part).strip() for part in re.split(r"\n[ \t]*\n", text))
+    tidy = (re.sub(r" +(?=[,;.:)](?:\s|$|[,;.:)]))|(?<=\() +", "", part) for part in paragraphs)
+    return tuple(str(keep_together(part)) for part in tidy if part)
+
+
+@lru_cache(maxsize=2)
+def _open_templates(*, escape: bool) -> Environment:
+    """Open the templates, once for pages and once for words."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=escape,  # noqa: S701 - words are escaped by the page that they stand on
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        finalize=keep_together if escape else None,
+    )
+    environment.filters |= FILTERS
+    environment.tests["number"] = lambda value: isinstance(value, float) and math.isfinite(value)
+    return environment
+
+
+def _write_estimate(
+    ends: Mapping[str, float], kind: str = "correlation", lead: str = "95 % CI "
+) -> str:
+    """Write a value with its interval behind it, in brackets."""
+    value, interval = format_estimate(ends["value"], ends["low"], ends["high"], kind=kind)
+    return value if interval == ABSENT else f"{value} ({lead}{interval})"
+
+
+FILTERS: Mapping[str, Any] = {
+    "words": format_name,
+    "start": capitalise,
+    "list": list,
+    "named": lambda names, last="and": join_words([format_name(str(one)) for one in names], last),
+    "join_words": lambda names, last="and": join_words([str(one) for one in names], last),
+    "some": lambda names, most=3: name_some([str(one) for one in names], most),
+    "count": format_count,
+    "num": lambda value, kind="correlation": format_number(float(value), kind=kind),
+    "ends": lambda low, high, kind="correlation": format_interval(low, high, kind=kind),
+    "estimate": _write_estimate,
+    "p": format_p,
+    "level": format_level,
+    "percent": lambda share: f"{format_number(100 * share, kind='count')} %",
+}
+"""Filters of all templates: names and numbers as `feel321.analysis.words` writes them."""

@@ -14,7 +14,6 @@ from pandas import DataFrame, concat
 
 from feel321 import __version__
 from feel321.analysis import figures
-from feel321.analysis.page import render_words
 from feel321.analysis.power import plan as planning
 from feel321.analysis.power.design import ENOUGH, GROUPS, PowerDesign, Truth
 from feel321.analysis.primary.model import fit_primary
@@ -23,7 +22,7 @@ from feel321.analysis.report import folder as results
 from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table.items import Table, split_tests
 from feel321.analysis.table.reading import Further, read_table
-from feel321.analysis.words import format_name
+from feel321.analysis.words import format_name, render_words
 from feel321.doors import check_name
 from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
