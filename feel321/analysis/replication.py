@@ -21,7 +21,7 @@ from scipy.stats import t as student
 
 from feel321.analysis import space, words
 from feel321.analysis.association import correlate
-from feel321.analysis.choices import EVERY, compare_with_original
+from feel321.analysis.choices import EVERY, compare_with_original, infer_mean
 from feel321.analysis.contrasts.compare import fit_reducers
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.model import fit_primary, fit_slopes
@@ -249,12 +249,8 @@ def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
 
 def _average(values: "Series[float]") -> Ends:
     """Average with a t interval."""
-    known = values.dropna()
-    mean, n = float(known.mean()), len(known)
-    if n < 2:  # noqa: PLR2004 - a spread needs two
-        return mean, math.nan, math.nan
-    half = float(student.ppf(0.975, n - 1) * known.std(ddof=1) / math.sqrt(n))
-    return mean, mean - half, mean + half
+    mean, error, reach, _ = infer_mean(values.dropna().tolist())
+    return mean, mean - reach * error, mean + reach * error
 
 
 def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
@@ -338,8 +334,6 @@ def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> Clai
 
 def explain_spread(rows: DataFrame, metric: str) -> str:
     """Say why a spread may go with ratings the wrong way, where it rises with its mean; else nothing."""
-    from feel321.analysis.words import render_words
-
     mean = metric.removesuffix(SD) + MEAN
     if not (metric in ROTATIONS and metric.endswith(SD) and {metric, mean} <= set(rows)):
         return ""
@@ -355,7 +349,7 @@ def explain_spread(rows: DataFrame, metric: str) -> str:
         return ""
     means = own.groupby(items["reducer"].astype(str)).mean()
     lowest = str(means[mean].idxmin())
-    (text,) = render_words(
+    (text,) = words.render_words(
         "spread", metric=metric, together=together, lowest=lowest, mean=means.loc[lowest, mean],
         spread=means.loc[lowest, metric], smallest=means[metric].min(),
     )  # fmt: skip

@@ -199,13 +199,10 @@ def _count(rows: DataFrame) -> Series:
     return rows.groupby("participant", observed=False).size()
 
 
-# What each rule finds of every participant: a table of count, n, share (NaN without judgements), limit and hit.
-
-
 def _compare(
     count: Series, n: Series, share: Series, *, limit: float | Values | Series, below: bool = False
 ) -> DataFrame:
-    """Compare a value of each participant with its limit; NaN flags nobody."""
+    """Compare a value of each participant with its limit; NaN, without judgements, flags nobody."""
     values = share.to_numpy(np.float64)
     limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), share.shape)
     # 3 of 20 is 15 %, not more; a hair of rounding must not decide otherwise.

@@ -195,9 +195,6 @@ def format_p(p: float) -> str:
     return f"p {told if told.startswith('<') else f'= {told}'}"
 
 
-# Templates.
-
-
 def render_template(name: str, **values: object) -> str:
     """Render a page, which finds the style sheet as `style` and the filters of `FILTERS`."""
     style = (TEMPLATES / "page.css").read_text(encoding="utf-8")

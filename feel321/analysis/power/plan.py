@@ -260,9 +260,6 @@ def describe_units(recordings: int, reducers: int) -> str:
     return f"{format_count(recordings, 'recording')} × {format_count(reducers, 'reducer')}"
 
 
-# Simulated studies: ratings are drawn with the planted truth, and the primary model is fitted.
-
-
 def draw_ratings(design: PowerDesign, stimuli: Stimuli, rng: np.random.Generator) -> Samples:
     """Draw ratings with the planted slopes and spreads, (n_attributes, people, n_items, repeats)."""
     truth, (people_sds, scene_sds) = design.truth, design.slope_sds

@@ -312,9 +312,7 @@ def _plan_fixed(cells: Cells) -> tuple[list[str], list[str]]:
     return [*within, *keep_independent(between), *level], reductions
 
 
-# Each of the following yields terms, each with the reason why the data cannot carry it, empty where they can.
-
-Planned = Iterator[tuple[str, str]]
+Planned = Iterator[tuple[str, str]]  # Terms, and why the data cannot carry it, empty where they can
 
 
 def _write(group: str, slopes: Sequence[str], bar: str = "||") -> str:
