@@ -25,44 +25,36 @@ TEMPLATES = Path(__file__).parent / "templates"
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"  # Written where a number is not defined
 
+# Digits behind the point, per kind of number.
 PLACES = {"correlation": 2, "slope": 2, "rating": 1, "df": 1, "count": 0, "p": 3}
-"""Digits behind the point, per kind of number."""
-
+# Below this a probability is written as smaller; from here on a number is written with its power of ten.
 SMALLEST_P, UNWIELDY = 0.001, 1e6
-"""Below this a probability is written as smaller; from here on a number is written with its power of ten."""
-
+# Spaces at which no line may break: of a percent sign, and of a small probability with its name.
 TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
-"""Spaces at which no line may break: of a percent sign, and of a small probability with its name."""
-
 ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")  # Names of scales that are abbreviations
 
+# Suffix of a metric's name in a model -> how it is written.
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
-"""Suffix of a metric's name in a model -> how it is written."""
-
+# What the metrics of the report that is being written declare: names are put into words in many places, most of which
+# take them from a table's cell, and a report is written as a whole.
 _DECLARED: ContextVar[Mapping[str, MetricInfo]] = ContextVar(
     "declared", default=MappingProxyType({})
 )
-"""What the metrics of the report that is being written declare: names are put into words in many places, most of which
-take them from a table's cell, and a report is written as a whole."""
-
+# Axis label of each metric; another metric is labelled by its name.
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
     "temporal_match": "Temporal match (1 = same waveform as all axes)",
     "spectral_match_bounded": "Bounded spectral match (1 = identical energy)",
 }
-"""Axis label of each metric; another metric is labelled by its name."""
-
+# Scales that do not rate a stimulus by itself -> what they measure.
 MEASURES = {"dissimilarity": "dissimilarity from the reference", "abx": "percentage correct"}
-"""Scales that do not rate a stimulus by itself -> what they measure."""
-
+# Kinds of intervals, and how they are described.
 INTERVALS: Mapping[str, str] = MappingProxyType({
     "two-way": "95 % two-way bootstrap interval, over participants and recordings",
     "people": "95 % bootstrap interval over participants only: these stimuli as the only ones",
     "student": "95 % t interval over participants, for these recordings",
     "satterthwaite": "95 % t interval, Satterthwaite's degrees of freedom",
 })
-"""Kinds of intervals, and how they are described."""
-
 CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"  # Declared before the ratings, or not
 
 

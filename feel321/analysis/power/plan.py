@@ -24,11 +24,10 @@ from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.analysis.words import ABSENT, format_count
 from feel321.types import Samples
 
+# Sizes that are tried, as multiples of the given ones.
 FACTORS: Mapping[str, tuple[float, ...]] = {
     "participants": (0.5, 0.75, 1, 1.5, 2, 3), "recordings": (0.5, 1, 1.5, 2, 3), "reducers": (0.5, 1, 1.5),
 }  # fmt: skip
-"""Sizes that are tried, as multiples of the given ones."""
-
 REPEATS = (1, 2, 3, 4)
 CHUNK = 50  # Simulated studies of one job
 TRIED = 8  # Designs that are simulated in search of one that its simulation does not refute

@@ -37,13 +37,11 @@ from feel321.records import Statistic
 
 TENTH = 0.1
 FEW = 5  # Fewer people, recordings (or sources) or reducers leave their spread all but unknown
+# Participants, recordings (or sources of them) and reducers; degrees of freedom. With fewer, no slope is estimable.
 FEWEST, FEWEST_DF = 3, 2.0
-"""Participants, recordings (or sources of them) and reducers; degrees of freedom. With fewer, no slope is estimable."""
-
 TESTED = ("se", "df", "t", "p", "low", "high")  # What is NaN where it is not estimable
+# Column of an estimate -> that of the slope which is centred on recordings and on reducers.
 CENTRED = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED if name != "t"}}
-"""Column of an estimate -> that of the slope which is centred on recordings and on reducers."""
-
 NONE, IN_MODEL = float("nan"), "in_model"
 
 
@@ -162,9 +160,8 @@ def fit_primary(
     is the metric minus its recording's mean, ``_b`` that mean. Restricted maximum likelihood, Satterthwaite's degrees
     of freedom, at most twice as many as recordings less two.
 
-    Recordings differ in their slopes as people do, and reducers are a random factor as stimuli are: without these
-    terms a recording whose slope is steep by chance, or a reducer that feels odd everywhere, counts as evidence of as
-    many stimuli. Where fewer than 8 reducers were rated, their spread gets the penalty of Chung et al. (2013).
+    Recordings differ in their slopes as people do, and reducers are a random factor as stimuli are. Where fewer than 8
+    reducers were rated, their spread gets the penalty of Chung et al. (2013).
 
     What loses energy matches worse and is weaker: the level of stimuli (``sensation_level_db``, else ``rms_m_s2``, else
     ``level_difference``) is in the model where each has one, within recordings: ``level_db``, no hypothesis.
@@ -249,11 +246,6 @@ def fit_attributes(
         One or more; those of the Table if left out.
     attribute : str, optional
         The column's name; scale, and level where there are several, if left out.
-
-    Returns
-    -------
-    Primaries
-        Attribute -> its model, in alphabetical order.
     """
     rows, names = open_ratings(table), choose_metrics(table, metrics)
     several = attribute is None and "level" in rows and len(rows["level"].unique()) > 1
