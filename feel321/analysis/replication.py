@@ -31,7 +31,6 @@ from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import Table, recast_pairs, split_tests
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
-from feel321.analysis.words import INTERVALS
 from feel321.doors import check_name
 from feel321.names import MEASURES, PaperClaim
 
@@ -267,7 +266,7 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
     beside = {name: (gap.estimate, gap.low, gap.high) for name, gap in gaps.items()}
     return ClaimValue(
         mean.estimate, mean.low, mean.high, "rating", "points", n, "mixed model with reducers, mean rating",
-        INTERVALS["satterthwaite"], beside, note,
+        words.INTERVALS["satterthwaite"], beside, note,
     )  # fmt: skip
 
 
@@ -280,7 +279,7 @@ def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVal
     slope = fit.slopes.loc[[metric]].to_dict("records")[0]
     return ClaimValue(
         slope["tenth"], slope["tenth_low"], slope["tenth_high"], "slope", "points per +0.1", fit.n_items,
-        f"mixed model, {metric} within recordings", INTERVALS["satterthwaite"],
+        f"mixed model, {metric} within recordings", words.INTERVALS["satterthwaite"],
     )  # fmt: skip
 
 

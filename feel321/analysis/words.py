@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from feel321.types import MetricInfo
 
 TEMPLATES = Path(__file__).parent / "templates"
-
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"  # Written where a number is not defined
 

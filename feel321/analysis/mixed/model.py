@@ -197,8 +197,6 @@ def fit_mixed(
 
     Examples
     --------
-    Four people, three ratings each.
-
     >>> import pandas as pd
     >>> from feel321 import analysis
     >>> data = pd.DataFrame({"who": list("aaabbbcccddd"), "x": [0, 1, 2] * 4,

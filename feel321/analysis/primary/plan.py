@@ -1,8 +1,5 @@
 """The primary model's cells and terms: which the data can carry, and in words which they cannot.
 
-The full model has every spread that the design has. A term goes only where it cannot be told from another, never
-because a test says that it may be zero.
-
 A metric's part within recordings, ``_w``, is its value minus the mean over its recording's items; the part
 between, ``_b``, is that mean. The claim that a metric predicts what is felt is about the part within: between
 recordings, anything that differs with the scene goes along. Means are over the items that the table holds,
