@@ -37,7 +37,7 @@ from pathlib import Path
 from re import fullmatch
 from typing import Any, Literal
 
-from feel321.doors import describe, refuse_name
+from feel321.arguments import describe, refuse_name
 
 GROUPS: Mapping[str, str] = {  # kind of method -> group of entry points; the only list of kinds
     "reducer": "feel321.reducers",

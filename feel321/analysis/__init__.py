@@ -8,7 +8,7 @@ by a TypeError) that says what must be, what was got and what to do; what is lef
 
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from feel321.doors import import_lazily as _import_lazily
+from feel321.arguments import import_lazily as _import_lazily
 
 if _TYPE_CHECKING:
     from feel321.analysis.agreement import (

@@ -36,7 +36,7 @@ from feel321.analysis.table.items import (
     open_ratings,
     refuse_pooled,
 )
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.records import Statistic
 
 NAN = float("nan")

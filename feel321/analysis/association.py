@@ -20,7 +20,7 @@ from feel321.analysis.agreement import SMALLEST, find_ceiling
 from feel321.analysis.arrays import PERFECT, Values, check_draws
 from feel321.analysis.contrasts.compare import stimulus_means
 from feel321.analysis.table.items import Items, Table, choose_arms, make_items
-from feel321.doors import as_rng, check_name
+from feel321.arguments import as_rng, check_name
 from feel321.records import Statistic
 from feel321.types import MetricInfo, Rng
 

@@ -30,9 +30,9 @@ from feel321.analysis.primary.model import adjust_holm
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, open_ratings
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, PAIRED
-from feel321.doors import as_names, check_name
-from feel321.names import REDUCER_NAMES
+from feel321.arguments import as_names, check_name
 from feel321.records import Statistic
+from feel321.types import REDUCER_NAMES
 
 Codes = NDArray[np.intp]
 

@@ -12,7 +12,7 @@ from feel321.analysis.report.section import make_slug, thin_parts
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
-from feel321.doors import as_path, as_seed, describe
+from feel321.arguments import as_path, as_seed, describe
 from feel321.files import make_folder, write_text
 from feel321.types import PathLike, Rng
 

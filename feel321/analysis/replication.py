@@ -1,6 +1,6 @@
 """Papers replicated: their claims, what this study's ratings say to each of them, and the measures that tell.
 
-A measure is a function `measure_NAME(table, claim, choices) -> ClaimValue`, and one line in `feel321.names.MEASURES`.
+A measure is a function `measure_NAME(table, claim, choices) -> ClaimValue`, and one line in `feel321.records.MEASURES`.
 It takes a table of one scale and one level, raises ValueError where the claim cannot be estimated, and knows nothing of
 the paper's number: `judge` compares. Where a claim names exceptions, it is called a second time without them.
 
@@ -31,8 +31,8 @@ from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import Table, recast_pairs, split_tests
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
-from feel321.doors import check_name
-from feel321.names import MEASURES, PaperClaim
+from feel321.arguments import check_name
+from feel321.records import MEASURES, PaperClaim
 
 # Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number.
 AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimable"

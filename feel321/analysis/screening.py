@@ -29,7 +29,7 @@ from feel321.analysis.table.items import (
     refuse_unnamed,
 )
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.doors import as_rng, check_name
+from feel321.arguments import as_rng, check_name
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.records import Statistic
 from feel321.types import Rng

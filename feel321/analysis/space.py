@@ -22,10 +22,9 @@ from feel321.analysis.resampling import draw_counts
 from feel321.analysis.table.items import Table, open_ratings
 from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import PAIRED
-from feel321.doors import as_rng
-from feel321.names import METRIC_INFO, REDUCER_NAMES
+from feel321.arguments import as_rng
 from feel321.records import Statistic
-from feel321.types import Rng
+from feel321.types import METRIC_INFO, REDUCER_NAMES, Rng
 
 FEWEST = 3  # Stimuli that make a shape
 CUBE = 3  # Axes of a stack of matrices

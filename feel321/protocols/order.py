@@ -9,7 +9,7 @@ from itertools import chain, groupby, pairwise
 from math import gcd
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-from feel321.doors import Registry, as_rng, check_name, describe
+from feel321.arguments import Registry, as_rng, check_name, describe
 from feel321.protocols.tasks import PROTOCOLS, count_rows, make_task, williams_row
 from feel321.protocols.trial import RATING_RANGE, Comparison, Item, Task, Trial, Trials
 

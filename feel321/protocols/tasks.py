@@ -20,7 +20,7 @@ from itertools import combinations, islice
 from math import prod
 from typing import Any
 
-from feel321.doors import Registry, check_name
+from feel321.arguments import Registry, check_name
 from feel321.protocols.trial import (
     FREE,
     MATCHING,

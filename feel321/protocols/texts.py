@@ -23,10 +23,10 @@ from pathlib import Path
 from string import Formatter
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
-from feel321 import intake
-from feel321.doors import check_name
-from feel321.names import Number  # noqa: TC001 - read when the settings are
+from feel321.arguments import check_name
+from feel321.files import read_small
 from feel321.protocols.trial import Page, Scale
+from feel321.types import Number
 
 if TYPE_CHECKING:
     from feel321.types import PathLike
@@ -86,7 +86,7 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> Iterator[tuple[st
 def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     """Read an own file, and the texts of the language that it changes."""
     try:
-        own = tomllib.loads(intake.read_small(path))
+        own = tomllib.loads(read_small(path))
         dict(_flatten(own))  # tables in tables without end exceed the recursion here
     except (ValueError, RecursionError) as error:  # TOML's own errors and those of the encoding
         raise ValueError(f"{path}: not valid TOML ({error}); fix it there") from None

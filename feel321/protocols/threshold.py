@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from feel321.doors import as_rng, check_name, describe
+from feel321.arguments import as_rng, check_name, describe
 from feel321.protocols.tasks import find_reference
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Item, Judgement, Part, Trial
 

@@ -21,7 +21,6 @@ from feel321.analysis.table.items import Table
 from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
 from feel321.files import write_text
-from feel321.names import MATCHES
 from feel321.stimuli.condition import condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
@@ -46,6 +45,7 @@ from feel321.study.settings.read import (
     try_recordings,
 )
 from feel321.study.settings.schema import AnalysisTable, Settings
+from feel321.types import MATCHES
 
 if TYPE_CHECKING:
     from feel321.analysis.replication import Paper

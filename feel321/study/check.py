@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321 import intake
-from feel321.doors import follow
+from feel321.arguments import follow
+from feel321.files import open_text
 from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import make_scales
@@ -26,9 +26,9 @@ from feel321.study.actuator.certificate import judge_certificates, list_certific
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.evidence.checkpoints import declaring
 from feel321.study.folder import Problems, StudyFolder
-from feel321.study.minutes import measure_design
+from feel321.study.minutes import Pace, measure_length
 from feel321.study.session.journal import Clock, utc_now
-from feel321.study.session.plan import PLAN_FILE, Design, make_plan
+from feel321.study.session.plan import PLAN_FILE, Design, make_plan, make_trials
 from feel321.study.settings import read
 from feel321.study.settings.schema import Settings, count_groups
 
@@ -133,9 +133,9 @@ def check_study(
     elif study.participants:
         lost = "missing, but sessions were run with it; put it back or build it again"
         found += Problems((f"{study.stimuli}: {lost}",))
-    remarks = tuple(f"{one.name}: {text}" for one in facts for text in one.warnings)
-    warnings = () if found.problems else tuple(find_warnings(study, settings, facts))
-    return found + Problems(warnings=warnings, remarks=remarks)
+    warnings = [f"{one.name}: {text}" for one in facts for text in one.warnings]
+    warnings += [] if found.problems else find_warnings(study, settings, facts)
+    return found + Problems(warnings=tuple(warnings))
 
 
 def _examine(
@@ -180,7 +180,8 @@ def _foresee(
         one.name: crop[1] - crop[0] if (crop := crops[one.name]) else one.duration_s for one in seen
     }
     with suppress(ValueError):  # what keeps trials from being made is found by itself
-        length = measure_design(design, items, durations=durations, groups=groups)
+        plans = [make_trials(design, items, number=number) for number in range(1, groups + 1)]
+        length = measure_length(plans, durations, Pace())
         note = f"{study.settings.name}: {length.describe()}"
         found += Problems(notes=(note,), figures={"session": asdict(length)})
     return found
@@ -230,7 +231,7 @@ def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
 
     known: dict[str, None] = {}
-    with intake.open_text(study.manifest) as file:
+    with open_text(study.manifest) as file:
         for name, cell in (pair for row in csv.DictReader(file) for pair in row.items()):
             with suppress(ValueError):
                 float(cell)

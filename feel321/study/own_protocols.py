@@ -11,9 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from feel321 import intake
-from feel321.doors import describe
+from feel321.arguments import describe
 from feel321.extensions import Method, call, find_method, is_given
+from feel321.files import read_small
 from feel321.protocols.tasks import PROTOCOLS, Comparisons, Items, Protocol
 from feel321.protocols.trial import (
     MATCHING,
@@ -59,7 +59,7 @@ def require_protocols(path: Path, names: Sequence[str], digests: Mapping[str, st
         return
     settings = path.parents[2] / "study.toml"
     try:
-        given = tomllib.loads(intake.read_small(settings))["session"]["protocols"]
+        given = tomllib.loads(read_small(settings))["session"]["protocols"]
         admit_protocols([one for one in given if one.rpartition(":")[2] in own], settings.parent)
     except (OSError, LookupError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{path}: {', '.join(own)} cannot be opened: {error}") from None

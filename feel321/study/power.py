@@ -23,7 +23,7 @@ from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table.items import Table, split_tests
 from feel321.analysis.table.reading import Further, read_table
 from feel321.analysis.words import format_name, render_words
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
 from feel321.protocols.trial import CHOOSING

@@ -11,7 +11,7 @@ from feel321.analysis.resampling import Choices
 from feel321.analysis.table.metrics import FURTHER
 from feel321.analysis.table.reading import Further, read_table
 from feel321.analysis.words import render_words
-from feel321.names import MATCHES
+from feel321.types import MATCHES
 
 MEAN, SD = "spectral_match_rotation_mean", "temporal_match_rotation_sd"
 DELIVERED, INVARIANT = ("temporal_match_delivered", "temporal_match_invariant")

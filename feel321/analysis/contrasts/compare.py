@@ -25,7 +25,7 @@ from feel321.analysis.table.items import (
     open_tests,
 )
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.records import Statistic
 
 SIGNIFICANCE = 0.05

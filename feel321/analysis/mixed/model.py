@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from feel321.analysis.arrays import UPPER
 from feel321.analysis.mixed import optimum
 from feel321.analysis.mixed.design import MixedDesign, build_design
-from feel321.doors import describe
+from feel321.arguments import describe
 from feel321.records import Statistic
 from feel321.types import Samples
 
@@ -135,12 +135,17 @@ class Solved(NamedTuple):
 
 
 def solve_design(
-    design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = (), most_df: float = np.inf
+    design: MixedDesign,
+    *,
+    reml: bool = True,
+    penalty: Sequence[str] = (),
+    most_df: float = np.inf,
+    near: Samples | None = None,
 ) -> Solved:
-    """Minimise a design's deviance."""
+    """Minimise a design's deviance; near: theta of the same terms on much the same data."""
     profile = optimum.Profile(design, reml=reml, penalty=penalty)
     with optimum.hold_threads(profile.n_random):
-        best = optimum.find_optimum(profile)
+        best = optimum.find_optimum(profile, near)
         return Solved(profile, *find_uncertainty(profile, best, most_df=most_df))
 
 

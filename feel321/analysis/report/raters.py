@@ -19,7 +19,7 @@ from feel321.analysis.screening import RULES, screen_raters
 from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import format_name
-from feel321.names import MATCHES
+from feel321.types import MATCHES
 
 if TYPE_CHECKING:
     from pandas import DataFrame

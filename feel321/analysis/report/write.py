@@ -24,7 +24,7 @@ from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIR, PAIRED, RECAST
 from feel321.analysis.words import render_template, render_words
-from feel321.doors import as_path, as_seed, follow
+from feel321.arguments import as_path, as_seed, follow
 from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
 

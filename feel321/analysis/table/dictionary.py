@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from feel321.analysis.table.metrics import FURTHER, ROTATIONS, format_bounds
-from feel321.names import METRIC_INFO
-from feel321.types import MetricInfo
+from feel321.types import METRIC_INFO, MetricInfo
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, HIGHEST, NAMING, NO, PAIRED, RECAST, YES
 from feel321.analysis.words import capitalise, format_level, format_name
-from feel321.doors import as_names, check_name
+from feel321.arguments import as_names, check_name
 from feel321.records import Result
 from feel321.types import MetricInfo
 

@@ -17,8 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from feel321.analysis.table import schema
-from feel321.names import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN
-from feel321.types import MetricInfo
+from feel321.types import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN, MetricInfo
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -23,15 +23,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from feel321 import intake
 from feel321.analysis.table import metrics as metrics_of
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.analysis.table.schema import refuse_lines, shorten
 from feel321.analysis.words import name_some
-from feel321.doors import as_names, as_path, describe
-from feel321.names import REDUCER_NAMES
-from feel321.types import MetricInfo, PathLike
+from feel321.arguments import as_names, as_path, describe
+from feel321.files import open_text
+from feel321.types import REDUCER_NAMES, MetricInfo, PathLike
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -464,7 +463,7 @@ def _join_roster(rows: DataFrame, ratings: Path | DataFrame, notes: list[str]) -
     path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
     if path is None or not path.is_file():
         return rows
-    with intake.open_text(path) as file:
+    with open_text(path) as file:
         header = next(csv.reader(file), [])
     known = {*rows, *ROSTER, "participant", ""}
     labels = [name for name in header if name in RIG or name not in known]

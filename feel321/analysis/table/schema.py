@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from feel321 import intake
+from feel321.files import clip, decode, read_bytes
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series
@@ -214,18 +214,18 @@ def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
 
 def shorten(text: str) -> str:
     """Quote a cell for a message that is to stay one line."""
-    return repr(intake.clip(text))
+    return repr(clip(text))
 
 
 def _read_file(path: Path, kinds: Mapping[str, str], needed: Sequence[str]) -> DataFrame:
     """Read a file's cells; the index says in which line a row begins."""
     import pandas as pd
 
-    what, content = path.name, intake.read_bytes(path)
+    what, content = path.name, read_bytes(path)
     for mark, kind in FOREIGN.items():
         if content.startswith(mark):
             raise ValueError(f"{what}: must be plain UTF-8 text, got {kind}")
-    reader = csv.reader(io.StringIO(intake.decode(content, what), newline=""), strict=True)
+    reader = csv.reader(io.StringIO(decode(content, what), newline=""), strict=True)
     try:
         header, line, rows = next(reader, []), reader.line_num + 1, {}
         for row in reader:

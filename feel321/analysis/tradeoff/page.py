@@ -31,7 +31,7 @@ from feel321.analysis.tradeoff.judge import (
 )
 from feel321.analysis.tradeoff.measure import MOUNTED
 from feel321.analysis.words import capitalise, format_count, format_name, join_words, render_words
-from feel321.names import METRIC_INFO
+from feel321.types import METRIC_INFO
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
