@@ -31,7 +31,7 @@ from feel321.analysis.primary.plan import (
     take_out,
 )
 from feel321.analysis.primary.plan import LEVEL as COVARIATE
-from feel321.analysis.table.metrics import order_reducers
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"  # Verdicts
