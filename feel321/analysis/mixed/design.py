@@ -23,9 +23,8 @@ INNER = r"(?:`[^`]*`|[^()|`]|\([^()|]*\))"
 PIECE = rf"((?:`[^`]*`|[^()|`]|\({INNER}*\))+)"
 BRACKET = re.compile(rf"(?:^|\+)\s*\({PIECE}(\|\|?){PIECE}\)\s*(?=[+-]|$)")
 GROUP = re.compile(rf"\s*{NAME}\s*(?:[:/]\s*{NAME}\s*)*")
+# What no part of a formula may hold once names in backticks and random terms are taken out.
 UNREAD = r"[|]|~.*~|(offset|weights)\s*\(|(^|[~\s])\.(\s|$)"
-"""What no part of a formula may hold once names in backticks and random terms are taken out."""
-
 DEPENDENT = 1e-9  # Share of a column's length below which what others leave of it is rounding
 FLAT = 1e-12  # Share of a response's size below which what the fixed effects leave over is rounding
 
