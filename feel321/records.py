@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, Self
 
+import numpy as np
+
 from feel321.arguments import Registry, check_name
 from feel321.types import Number
 
@@ -36,8 +38,6 @@ class Result:
         return [(field.name, getattr(self, field.name)) for field in fields]
 
     def _list_scalars(self) -> list[tuple[str, Any]]:
-        import numpy as np
-
         kinds = bool | int | float | str | np.generic
         return [(name, entry) for name, entry in self._list_fields() if isinstance(entry, kinds)]
 
@@ -62,8 +62,6 @@ class Result:
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""
-        import numpy as np
-
         known = [
             (name, f"{value:.4g}" if isinstance(value, float | np.floating) else repr(value))
             for name, value in self._list_scalars()
@@ -166,8 +164,6 @@ def to_json_value(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
 
 
 def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
-    import numpy as np
-
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):

@@ -381,34 +381,19 @@ TIMES = {"gap_s": (0.0, 30.0), "answer_timeout_s": (0.5, 600.0), "onset_s": (0.5
 """The shortest and the longest time of each option, in s."""
 
 
-def make_task(  # noqa: PLR0913 - the options that a task has
-    name: str,
-    *,
-    timing: str | None = None,
-    reference: str | None = None,
-    surface: bool = False,
-    training: int = 0,
-    practice: int = 0,
-    pairs: int | None = None,
-    scales: Sequence[str] = (),
-    gap_s: float | None = None,
-    answer_timeout_s: float | None = None,
-    onset_s: float | None = None,
-) -> Task:
-    """Make a task of a protocol, or refuse options that it does not have.
+def make_task(name: str, **options: Any) -> Task:  # noqa: ANN401 - fields of a task
+    """Make a task of a protocol with options, fields of `Task`, or refuse those that it does not have.
 
-    None: the protocol's first timing or reference, all pairs, the session's own silence, no limit of time. training,
-    practice: numbers of trials, with feedback and without, before the first that counts. pairs: of each recording and
-    level. gap_s: silence before each part. onset_s: from the onset of a trial to that of the next.
+    Left out: the protocol's first timing or reference, all pairs, the session's own silence, no limit of time.
     """
     protocol = PROTOCOLS[check_name(name, PROTOCOLS, "protocol")]
-    timing = protocol.timings[0] if timing is None else timing
-    check_name(timing, protocol.timings, f"tasks.{name}.timing")
-    given = next(iter(protocol.references), ORIGINAL) if reference is None else reference
-    asked = () if [*scales] == [name] else tuple(scales)
-    options = (surface, training, practice, pairs, asked, gap_s, answer_timeout_s, onset_s)
-    task = Task(name, timing, given, *options)
-    faults = _list_faults(task, reference)
+    given = {key: value for key, value in options.items() if value is not None}
+    usual = {"timing": protocol.timings[0], "reference": next(iter(protocol.references), ORIGINAL)}
+    task = Task(name, **{**usual, **given})
+    check_name(task.timing, protocol.timings, f"tasks.{name}.timing")
+    scales = () if [*task.scales] == [name] else tuple(task.scales)
+    task = replace(task, scales=scales)
+    faults = _list_faults(task, given.get("reference"))
     if fault := next((words for words, is_so in faults.items() if is_so), ""):
         raise ValueError(f"tasks.{name}.{fault}")
     return task
