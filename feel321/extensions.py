@@ -48,7 +48,7 @@ GROUPS: Mapping[str, str] = {  # kind of method -> group of entry points; the on
 
 OWN_FORMS = "mylab.haptics:my321, or methods/my321.py:my321"
 FORMS = f"a registered name, {OWN_FORMS}"  # how a method is given, for messages
-LONGEST_REASON = 203  # characters of a lab's own error message that are repeated, with the dots behind them
+LONGEST_REASON = 203  # characters of a lab's own error message that are repeated
 
 _TURN = threading.RLock()
 """Held while a lab's code runs: standard output belongs to the process, and few functions expect two callers."""
@@ -119,8 +119,8 @@ def find_method(
     name, what = found.name, f"{kind} {found.place!r}"
     if not fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", name):
         remedy = "give it a name with def" if found.origin == "function" else "rename it"
-        must = "up to 60 letters (A-Z), digits and _, beginning with a letter"
-        raise ValueError(f"{what}: its name must be {must}, got {name!r}; {remedy}")
+        what = "up to 60 letters (A-Z), digits and _, beginning with a letter"
+        raise ValueError(f"{what}: its name must be {what}, got {name!r}; {remedy}")
     if name.casefold() in {one.casefold() for one in taken}:
         raise ValueError(f"{what}: the name {name!r} is taken by one of feel321's own; rename it")
     return found
@@ -144,9 +144,8 @@ def _read_entry_points(kind: str, path: tuple[str, ...]) -> Mapping[str, str]:  
     for point in sorted(entry_points(group=GROUPS[kind]), key=lambda one: (one.name, one.value)):
         if (first := found.setdefault(point.name, point.value)) != point.value:
             both = f"is declared by two installed packages, as {first} and {point.value}"
-            raise ValueError(
-                f"{kind} {point.name!r} {both}; uninstall one, or name it by its place"
-            )
+            what = f"{kind} {point.name!r} {both}"
+            raise ValueError(f"{what}; uninstall one, or name it by its place")
     return types.MappingProxyType(found)
 
 

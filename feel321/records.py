@@ -235,9 +235,8 @@ class PaperClaim:
         check_name(self.measure, MEASURES, "measure")
         value, low, high = self.paper
         if self.expect == "near" and not math.isfinite(low + high):
-            raise ValueError(
-                "must give the paper's low and high where it expects near; add paper = { low = ..., high = ... }"
-            )
+            must = "must give the paper's low and high where it expects near"
+            raise ValueError(f"{must}; add paper = {{ low = ..., high = ... }}")
         known = [one for one in (low, value, high) if not math.isnan(one)]
         if math.isnan(low) != math.isnan(high) or known != sorted(known):
             rule = "must have a value, or low and high, or all three in that order"
@@ -253,7 +252,7 @@ def _check_options(options: Mapping[str, str | tuple[str, ...]]) -> None:
     for name, own in options.items():
         check_name(name, OPTIONS, "options")
         if name != "metrics" and isinstance(own, str) == (name == "among"):
-            must = "a list of names" if name == "among" else "a text"
-            raise ValueError(f"options.{name} must be {must}, got {own!r}")
+            what = "a list of names" if name == "among" else "a text"
+            raise ValueError(f"options.{name} must be {what}, got {own!r}")
         if not all(text.strip() for text in ((own,) if isinstance(own, str) else own)):
             raise ValueError(f"options.{name} must not be empty; fill it in")

@@ -66,9 +66,8 @@ def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[Tas
         compared = {name: protocol.compare(own, task) for name, own in by_recording.items()}
         groups = {name: comparisons for name, comparisons in compared.items() if comparisons}
         if not groups:
-            raise ValueError(
-                f"{task.protocol}: no stimulus of the set is to be judged; build a set with reducers to test"
-            )
+            what = f"{task.protocol}: no stimulus of the set is to be judged"
+            raise ValueError(f"{what}; build a set with reducers to test")
         lessons = {name: protocol.make_lessons(by_recording[name], task) for name in groups}
         yield TaskTrials(task, groups, lessons)
 

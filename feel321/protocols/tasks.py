@@ -100,10 +100,8 @@ def split_arms(items: Items) -> tuple[Items, ...]:
     levels = dict.fromkeys(item.level for item in _select(items, "test"))
     if not levels:
         recordings = ", ".join(dict.fromkeys(repr(item.recording) for item in items)) or "unknown"
-        raise ValueError(
-            f"recording {recordings} must have at least one stimulus to test, got none; "
-            "name reducers and build the stimulus set again"
-        )
+        must = f"recording {recordings} must have at least one stimulus to test, got none"
+        raise ValueError(f"{must}; name reducers and build the stimulus set again")
     return tuple(select_items(items, {"level": level}) for level in levels)
 
 
@@ -337,36 +335,19 @@ class Protocol:
 _FELT, _ANY = (ORIGINAL, "reducer"), (ORIGINAL, SURFACE, "reducer")
 _RATING = Protocol("realism", compare_singly)
 _CHOICE = Protocol(
-    "preference",
-    compare_choices,
-    arrange=arrange_pair,
-    score=score_choice,
-    choices=CHOICES,
-    some_pairs=True,
-)
+    "preference", compare_choices, arrange=arrange_pair, score=score_choice, choices=CHOICES, some_pairs=True
+)  # fmt: skip
 _ALL = (
     _RATING,
     replace(_RATING, name="similarity", references=_ANY, sure_end=HIGHEST),
-    Protocol(
-        "dissimilarity",
-        compare_dissimilarity,
-        references=(ORIGINAL,),
-        teach=partial(compare_dissimilarity, teach=True),
-        arrange=arrange_pair,
-    ),
+    Protocol("dissimilarity", compare_dissimilarity, references=(ORIGINAL,), arrange=arrange_pair,
+             teach=partial(compare_dissimilarity, teach=True)),
     Protocol("mushra", compare_mushra, (FREE,), _FELT, arrange=arrange_mushra, sure_end=HIGHEST),
-    Protocol(
-        "abx",
-        compare_abx,
-        references=_FELT,
-        teach=partial(compare_abx, teach=True),
-        arrange=arrange_abx,
-        score=score_choice,
-        choices=CHOICES,
-    ),
+    Protocol("abx", compare_abx, references=_FELT, arrange=arrange_abx, score=score_choice, choices=CHOICES,
+             teach=partial(compare_abx, teach=True)),
     replace(_CHOICE, name="triplet", references=(*_ANY, EVERY)),
     _CHOICE,
-)
+)  # fmt: skip
 PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
 """Name -> protocol, the only list of names. Later ones are added, none renamed."""
 

@@ -60,10 +60,8 @@ class ThresholdPlan:
         """Refuse levels out of order; the settings check the numbers of trials, and nobody sets the rest."""
         low, start, high = self.lowest_db, self.start_db, self.highest_db
         if not (0 < high - low <= MOST_DB and low <= start <= high):
-            raise ValueError(
-                f"highest_db must be above lowest_db, by {MOST_DB} dB at most, and start_db between "
-                f"them; got {high}, {low} and {start}"
-            )
+            must = f"highest_db must be above lowest_db, by {MOST_DB} dB at most, and start_db between them"
+            raise ValueError(f"{must}; got {high}, {low} and {start}")
 
     @property
     def proportion(self) -> float:
