@@ -28,8 +28,8 @@ from scipy.stats import t as student
 
 from feel321.analysis.arrays import CONFIDENCE, UPPER, Values, check_columns
 from feel321.analysis.primary.model import adjust_holm
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, open_ratings
-from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, HIGHEST, PAIRED
 from feel321.arguments import as_names, check_name
 from feel321.records import Statistic

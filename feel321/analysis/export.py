@@ -12,7 +12,7 @@ from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, WHO
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.report.section import make_slug, thin_parts
 from feel321.analysis.resampling import Choices
-from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
+from feel321.analysis.table.columns import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
 from feel321.arguments import as_path, as_seed, describe
 from feel321.files import make_folder, write_text

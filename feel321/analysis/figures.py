@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.table.metrics import order_reducers
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.schema import HIGHEST, LOWEST, ROLES
 from feel321.analysis.words import (
     format_axis,

@@ -10,8 +10,8 @@ import numpy as np
 from feel321.analysis import figures
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers, stimulus_means
 from feel321.analysis.figures import assign_looks, make_handles
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.items import Table, open_tests
-from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.words import capitalise, format_measure, format_name
 
 if TYPE_CHECKING:

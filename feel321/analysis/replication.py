@@ -28,8 +28,8 @@ from feel321.analysis.primary.model import fit_primary, fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells
 from feel321.analysis.primary.sensitivity import FEWEST_REDUCERS, measure_excess
 from feel321.analysis.resampling import Choices
+from feel321.analysis.table.columns import ROTATIONS
 from feel321.analysis.table.items import Table, recast_pairs, split_tests
-from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.schema import PAIRED
 from feel321.analysis.words import INTERVALS
 from feel321.arguments import check_name

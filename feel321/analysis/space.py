@@ -19,8 +19,8 @@ from scipy.stats import chi2
 
 from feel321.analysis.arrays import CONFIDENCE, FLAT, Values, read_array, read_numbers
 from feel321.analysis.resampling import draw_counts
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.items import Table, open_ratings
-from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import PAIRED
 from feel321.arguments import as_rng
 from feel321.records import Statistic

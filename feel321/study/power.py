@@ -375,7 +375,7 @@ class StudyPower(results.PageResult):
         grid = grid.drop_duplicates(["participants", "recordings"])
         drawing = partial(draw_power, grid, own.recordings, wanted=own.wanted)
         picture = Picture("power", "Power against participants", drawing)
-        return results.PageParts("power.html", content, [picture], values)
+        return "power.html", content, [picture], values
 
 
 def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:

@@ -135,12 +135,17 @@ class Solved(NamedTuple):
 
 
 def solve_design(
-    design: MixedDesign, *, reml: bool = True, penalty: Sequence[str] = (), most_df: float = np.inf
+    design: MixedDesign,
+    *,
+    reml: bool = True,
+    penalty: Sequence[str] = (),
+    most_df: float = np.inf,
+    near: Samples | None = None,
 ) -> Solved:
-    """Minimise a design's deviance."""
+    """Minimise a design's deviance; near: theta of the same terms on much the same data."""
     profile = optimum.Profile(design, reml=reml, penalty=penalty)
     with optimum.hold_threads(profile.n_random):
-        best = optimum.find_optimum(profile)
+        best = optimum.find_optimum(profile, near)
         return Solved(profile, *find_uncertainty(profile, best, most_df=most_df))
 
 

@@ -31,7 +31,7 @@ from feel321.analysis.primary.plan import (
     take_out,
 )
 from feel321.analysis.primary.plan import LEVEL as COVARIATE
-from feel321.analysis.table.metrics import order_reducers
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.types import Samples
 
@@ -63,10 +63,11 @@ def _fit(
     *,
     correlated: bool = False,
     reducers: bool = True,
+    near: Slopes | None = None,
 ) -> tuple[pd.DataFrame, str, Slopes | None]:
     """Fit the slopes; also what their model lacks. NaN, the reason and None where the rows carry no model."""
     try:
-        found = fit_slopes(make(), correlated=correlated, reducers=reducers)
+        found = fit_slopes(make(), correlated=correlated, reducers=reducers, near=near)
     except ValueError as error:
         index = pd.Index(metrics, name="metric")
         return pd.DataFrame(np.nan, index=index, columns=[*COLUMNS, *TENTHS]), str(error), None
@@ -111,9 +112,11 @@ def vary_primary(rows: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
         ("rater-standardised", partial(make_cells, scaled[~steady], metrics), note, {}),
         ("logits", partial(make_cells, logits, metrics), "", {}),
     ]
-    tables = []
+    tables: list[pd.DataFrame] = []
+    near: Slopes | None = None
     for name, make, said, terms in variants:
-        table, lack, slopes = _fit(make, metrics, **terms)
+        table, lack, slopes = _fit(make, metrics, near=near, **terms)
+        near = near or slopes
         if name == "primary" and not slopes:
             raise ValueError(lack)
         reason = " ".join(filter(None, (*notes, said, lack)))
@@ -230,8 +233,10 @@ def measure_influence(
             notes.append(f"{what} were not left out in turn: more than {MOST_UNITS}.")
         units = [*leave_out_units(cells), *((ITEM, name) for name in find_candidates(cells))]
     before, estimate = _conclude(whole.slopes, others), whole.slopes["estimate"]
+    near: Slopes | None = None
     for column, name in units:
-        left, reason, fitted = _fit(partial(cells.leave_out, column, name), metrics)
+        left, reason, fitted = _fit(partial(cells.leave_out, column, name), metrics, near=near)
+        near = near or fitted
         table = left.reindex(whole.slopes.index)[["estimate", "se", "df", "p", *TENTHS]]
         table = table.join(_conclude(table, others))
         table["shift"] = (table["estimate"] - estimate) / whole.slopes["se"]

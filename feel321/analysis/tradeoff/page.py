@@ -142,7 +142,7 @@ class Tradeoff(PageResult):
             "notes": list_notes(self), "fails_db": FAILS_DB, "machine": machine,
         }  # fmt: skip
         pictures = [Picture("speed", CAPTION, draw_speed(points))]
-        return PageParts("tradeoff.html", content, pictures, values)
+        return "tradeoff.html", content, pictures, values
 
 
 def advise_tradeoff(
