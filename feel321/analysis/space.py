@@ -226,11 +226,8 @@ def _align(one: Values, other: Values) -> Values:
     return aligned
 
 
-# What the axes are associated with: every stimulus of every recording is a point.
-
+# Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1.
 DIRECTIONS = "directions"
-"""Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1."""
-
 ENOUGH = 10  # points for each attribute that a regression wants
 ROUNDING = 1e-9
 ALL_ORDERS = math.factorial(6)  # permutations up to which each is tried

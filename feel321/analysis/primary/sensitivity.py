@@ -106,8 +106,7 @@ def vary_primary(rows: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
         ("primary", lambda: cells, "", {}),
         ("correlated slopes", lambda: cells, "", {"correlated": True}),
         ("without reducers", lambda: cells, "", {"reducers": False}),
-        *[("without level", cells.ignore_level, "", dict[str, bool]())]
-        * (COVARIATE in cells.table),
+        *([("without level", cells.ignore_level, "", {})] if COVARIATE in cells.table else []),
         *_list_rig_variants(rows, metrics, cells),
         ("rater-standardised", partial(make_cells, scaled[~steady], metrics), note, {}),
         ("logits", partial(make_cells, logits, metrics), "", {}),
@@ -195,15 +194,12 @@ def judge_level(level: str, p_holm: float, plain_p_holm: float) -> str:
 
 def list_changes(slopes: Iterable[Mapping[Any, Any]]) -> Iterator[Mapping[Any, Any]]:
     """List the slopes without flagged raters from which another conclusion follows than from everyone's."""
-
-    def find_direction(row: Mapping[Any, Any]) -> float:
-        """Find the direction in which a metric predicts; 0 where nothing is claimed."""
-        return float(np.sign(row["tenth"])) if row["verdict"] == PREDICTS else 0.0
-
     slopes, keys = list(slopes), itemgetter("scale", "level", "metric")
-    whole = {keys(row): find_direction(row) for row in slopes if row["panel"] == "everyone"}
-    # Where everyone's model could not be fitted, nothing is claimed of everyone.
-    yield from (row for row in slopes if find_direction(row) != whole.get(keys(row), 0.0))
+    # The direction in which a metric predicts; 0 where nothing is claimed, as where everyone's model was not fitted.
+    claims = [np.sign(row["tenth"]) if row["verdict"] == PREDICTS else 0.0 for row in slopes]
+    pairs = list(zip(slopes, claims, strict=True))
+    whole = {keys(row): claim for row, claim in pairs if row["panel"] == "everyone"}
+    yield from (row for row, claim in pairs if claim != whole.get(keys(row), 0.0))
 
 
 def leave_out_units(cells: Cells) -> Iterator[tuple[str, Hashable]]:

@@ -16,7 +16,6 @@ from pandas import DataFrame
 
 from feel321.analysis import words
 from feel321.analysis.figures import list_undrawable
-from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer
 from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_files, write_folder
 from feel321.analysis.report.section import FIXED, Found, Row, Section, TableForm, make_row
@@ -27,6 +26,7 @@ from feel321.analysis.table.columns import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIR, PAIRED, RECAST
+from feel321.analysis.words import render_template, render_words
 from feel321.arguments import as_path, as_seed, follow
 from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
