@@ -47,13 +47,10 @@ class Workers:
         if self.count < 1:
             raise ValueError(f"workers must be 1 or more, got {self.count}")
         if self.scheduler and not fullmatch(r"(tcp|tls)://.+:\d+", self.scheduler):
-            raise ValueError(
-                "scheduler must be tcp://HOST:PORT or tls://HOST:PORT, as dask scheduler prints it; got "
-                f"{self.scheduler!r}"
+            must = (
+                "scheduler must be tcp://HOST:PORT or tls://HOST:PORT, as dask scheduler prints it"
             )
-
-
-ALONE = Workers()  # this process only
+            raise ValueError(f"{must}; got {self.scheduler!r}")
 
 
 def as_workers(workers: int | Workers, scheduler: str = "") -> Workers:
@@ -62,32 +59,36 @@ def as_workers(workers: int | Workers, scheduler: str = "") -> Workers:
 
 
 def run_jobs(
-    jobs: Iterable[Job], *, workers: Workers = ALONE, threads: int = 1
+    jobs: Iterable[Job], *, workers: int | Workers = 1, threads: int = 1
 ) -> Iterator[Numbered]:
     """Yield the place of each job and its result, as they are done; only a few jobs are taken ahead of time."""
-    if workers.scheduler:
-        yield from _run_on_cluster(jobs, workers.scheduler)
-    elif max(workers.count, threads) == 1:
+    crew = as_workers(workers)
+    if crew.scheduler:
+        yield from _run_on_cluster(jobs, crew.scheduler)
+    elif max(crew.count, threads) == 1:
         yield from starmap(_do, enumerate(jobs))
     else:
         from joblib import Parallel, delayed
 
         many: dict[str, Any] = {"n_jobs": threads, "backend": "threading"}
-        if workers.count > 1:
+        if crew.count > 1:
             # After a kill joblib tidies up, and need not say so between our lines.
             os.environ.setdefault("PYTHONWARNINGS", "ignore:resource_tracker")
-            many = {"n_jobs": workers.count}
-        crew = Parallel(**many, return_as="generator_unordered")
+            many = {"n_jobs": crew.count}
         calls = (delayed(_do)(place, job) for place, job in enumerate(jobs))
-        yield from crew(calls)
+        yield from Parallel(**many, return_as="generator_unordered")(calls)
 
 
 def gather_results(
-    jobs: Iterable[Job], *, workers: Workers = ALONE, done: Callable[[], object] = lambda: None
+    jobs: Iterable[Job],
+    *,
+    workers: int | Workers = 1,
+    threads: int = 1,
+    done: Callable[[], object] = lambda: None,
 ) -> list[Any]:
     """Do all jobs and return their results, in the order of the jobs; `done` is called after each."""
     found: dict[int, Any] = {}
-    for place, result in run_jobs(jobs, workers=workers):
+    for place, result in run_jobs(jobs, workers=workers, threads=threads):
         found[place] = result
         done()
     return [found[place] for place in sorted(found)]
@@ -113,9 +114,8 @@ def _find_versions() -> dict[str, str]:
 def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
     """Keep two jobs in flight per thread of a cluster."""
     if find_spec("distributed") is None:
-        raise ModuleNotFoundError(
-            "a Dask cluster needs distributed, not installed here; run pip install 'feel321[cluster]'"
-        )
+        what = "a Dask cluster needs distributed, not installed here"
+        raise ModuleNotFoundError(f"{what}; run pip install 'feel321[cluster]'")
     from distributed import CancelledError, Client, as_completed
     from distributed.scheduler import KilledWorker
 

@@ -3,13 +3,8 @@
 Nothing here removes anybody: a flag is a reason to look, and a deletion needs a documented error. Rules without a
 standard as their source are extensions, with limits by convention.
 
-References
-----------
-.. [1] J. W. Tukey, Exploratory Data Analysis, 1977: hinges and fences.
-.. [2] R. Pfister et al., Good things peak in pairs: a note on the bimodality coefficient, Frontiers in Psychology 4,
-   2013, 700. doi:10.3389/fpsyg.2013.00700
-.. [3] Recommendation ITU-R BS.1534-3 (2015), Method for the subjective assessment of intermediate quality level of
-   audio systems, on post-screening of assessors.
+Sources: Tukey, Exploratory Data Analysis (1977), of hinges and fences; Pfister et al. (2013), doi
+10.3389/fpsyg.2013.00700, of the bimodality coefficient; Recommendation ITU-R BS.1534-3 (2015), on post-screening.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -22,9 +17,8 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from pandas import DataFrame, Series
 
-from feel321.analysis.agreement import SMALLEST, intraclass, krippendorff_alpha
+from feel321.analysis.agreement import FLOOR, SMALLEST, gauge_raters, intraclass, krippendorff_alpha
 from feel321.analysis.arrays import FLAT, Values, check_columns, read_numbers
-from feel321.analysis.consistency import FLOOR, gauge_raters
 from feel321.analysis.resampling import weighted_pearson
 from feel321.analysis.table.items import (
     STIMULUS,
@@ -35,7 +29,7 @@ from feel321.analysis.table.items import (
     refuse_unnamed,
 )
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.doors import as_rng, check_name
+from feel321.arguments import as_rng, check_name
 from feel321.protocols.tasks import PROTOCOLS
 from feel321.records import Statistic
 from feel321.types import Rng
@@ -54,10 +48,9 @@ MOST_STEPS = 11  # Different ratings up to which a scale may be one of few steps
 FULL = 5  # Ratings per step from which on a slider would show
 SAME_POINTS = 2.0  # Ratings of a slider that lie no farther apart than this are at the same place
 ANCHORS = ("mid", "low")  # Kinds of anchor: the reducer or stimulus has the word in its name
+# Protocols that show the reference beside the stimuli. Limits near the end of the scale presuppose that: somebody who
+# rates realism by itself, or a similarity from memory, has no reason to put the original at 90 or above.
 SIGHTED = ("mushra",)
-"""Protocols that show the reference beside the stimuli. Limits near the end of the scale presuppose that: somebody who
-rates realism by itself, or a similarity from memory, has no reason to put the original at 90 or above."""
-
 FIGURES = ("icc_a_1", "icc_a_k", "icc_c_1", "icc_c_k", "alpha")
 
 
@@ -77,7 +70,7 @@ def tukey_fences(values: ArrayLike, *, step: float = 0.0) -> tuple[float, float]
 
 
 def multimodality(values: ArrayLike) -> float:
-    """Measure whether values may have more than one peak: above 5/9 [2]_; NaN for fewer than 4, and constants.
+    """Measure whether values may have more than one peak: above 5/9; NaN for fewer than 4, and constants.
 
     (g² + 1) / (k + 3 (n - 1)² / ((n - 2)(n - 3))), g the skewness and k the excess kurtosis, corrected for n.
     With fewer than some 20 raters it scatters widely.
@@ -93,12 +86,11 @@ def multimodality(values: ArrayLike) -> float:
     return float((skew**2 + 1) / (kurtosis + 3 * (n - 1) ** 2 / ((n - 2) * (n - 3))))
 
 
-# Ratings prepared for screening: what a rule needs to know of each. Participants are categories, all of them, so that
-# whoever has no rating of a kind is counted with 0.
-
-
 def _prepare(ratings: DataFrame, *, assumed: str) -> tuple[DataFrame, list[str]]:
-    """Prepare a tidy table; ratings that name no protocol are taken to be of the one assumed, if any."""
+    """Prepare a tidy table; ratings that name no protocol are taken to be of the one assumed, if any.
+
+    Participants are categories, all of them, so that whoever has no rating of a kind is counted with 0.
+    """
     check_columns(ratings, ["participant", "rating", STIMULUS], "ratings")
     if ratings.empty:
         raise ValueError("ratings must hold a row per judgement, got no row")
@@ -205,13 +197,10 @@ def _count(rows: DataFrame) -> Series:
     return rows.groupby("participant", observed=False).size()
 
 
-# What each rule finds of every participant: a table of count, n, share (NaN without judgements), limit and hit.
-
-
 def _compare(
     count: Series, n: Series, share: Series, *, limit: float | Values | Series, below: bool = False
 ) -> DataFrame:
-    """Compare a value of each participant with its limit; NaN flags nobody."""
+    """Compare a value of each participant with its limit; NaN, without judgements, flags nobody."""
     values = share.to_numpy(np.float64)
     limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), share.shape)
     # 3 of 20 is 15 %, not more; a hair of rounding must not decide otherwise.
@@ -221,9 +210,13 @@ def _compare(
     return pd.DataFrame({**columns, "limit": limits, "hit": hit}, index=share.index)
 
 
-def _count_bad(rows: DataFrame, bad: Series, *, limit: float) -> DataFrame:
-    """Count how often each participant did what a rule forbids, and compare the share with its limit."""
-    count, n = _count(rows[bad]), _count(rows)
+def _count_beyond(
+    rows: DataFrame, limit: float, *, column: str, end: float, below: bool = False
+) -> DataFrame:
+    """Count how often a column of each participant is beyond an end, and compare the share with its limit."""
+    known = rows[rows[column].notna()]
+    bad = known[column] < end if below else known[column] > end
+    count, n = _count(known[bad]), _count(known)
     return _compare(count, n, count / n.where(n > 0), limit=limit)
 
 
@@ -235,13 +228,7 @@ def _rate_anchor(rows: DataFrame, limit: float, *, kind: str, end: float) -> Dat
         means = mid.groupby(["excerpt", "participant"], observed=True)["rating"].mean()
         shares = (means > EXCELLENT).groupby("excerpt").mean()
         judged = judged[~judged["excerpt"].isin(shares.index[shares > MOST_RATERS])]
-    bad = judged["rating"] < end if kind == "reference" else judged["rating"] > end
-    return _count_bad(judged, bad, limit=limit)
-
-
-def _too_fast(rows: DataFrame, limit: float) -> DataFrame:
-    timed = rows[rows["time"].notna()]
-    return _count_bad(timed, timed["time"] < FASTEST_S, limit=limit)
+    return _count_beyond(judged, limit, column="rating", end=end, below=kind == "reference")
 
 
 def _outliers(rows: DataFrame, limit: float) -> DataFrame:
@@ -311,12 +298,6 @@ def _repeat_sd(rows: DataFrame, limit: float) -> DataFrame:
     return _compare(n, n, share.where(n >= FEWEST_JUDGEMENTS), limit=widened)
 
 
-def _check_expertise(gauge: DataFrame, limit: float) -> DataFrame:
-    """Find raters who are no better than their own shuffled ratings."""
-    defined = gauge[gauge["value"].notna()]
-    return _count_bad(defined, defined["p"] > 1 - FLOOR, limit=limit)
-
-
 class Rule(NamedTuple):
     """A rule about raters; find: prepared ratings, or the gauge for expertise, and limit -> table by participant."""
 
@@ -362,7 +343,7 @@ RULES: Mapping[str, Rule] = MappingProxyType({
     ),
     "too_fast": Rule(
         "more than {limit:.0%} of answers within 0.5 s",
-        EXTENSION, 0.15, _too_fast, "column 'response_time_s'",
+        EXTENSION, 0.15, partial(_count_beyond, column="time", end=FASTEST_S, below=True), "column 'response_time_s'",
     ),
     "outliers": Rule(
         "outside Tukey's fences on more than {limit:.0%} of test stimuli",
@@ -370,7 +351,8 @@ RULES: Mapping[str, Rule] = MappingProxyType({
     ),
     EXPERTISE: Rule(
         "more than {limit:.0%} of discrimination, reliability and agreement no better than shuffled ratings",
-        "in the manner of Report ITU-R BS.2300", 0.5, _check_expertise, "test stimuli rated twice or by others too",
+        "in the manner of Report ITU-R BS.2300", 0.5, partial(_count_beyond, column="p", end=1 - FLOOR),
+        "test stimuli rated twice or by others too",
     ),
 })  # fmt: skip
 """Name -> rule, in the order of reports."""
@@ -448,11 +430,8 @@ def screen_raters(
     >>> from feel321 import analysis
     >>> table = pd.DataFrame({"participant": ["ann"] * 10 + ["bob"] * 10, "recording": list("abcdefghij") * 2,
     ...     "reducer": "original", "role": "reference", "rating": [95] * 9 + [80] + [95] * 8 + [80] * 2})
-    >>> result = analysis.screen_raters(table, ["hidden_reference"])
-    >>> result.table[["participant", "count", "n", "share", "limit", "hit"]]
-      participant  count   n  share  limit    hit
-    0         ann      1  10    0.1   0.15  False
-    1         bob      2  10    0.2   0.15   True
+    >>> analysis.screen_raters(table, ["hidden_reference"]).hits
+    {'hidden_reference': ('bob',)}
     """
     limits = _choose_limits(rules, random=rng is not None)
     ratings, left_out = leave_rejected(name_stimuli(open_ratings(table)))
@@ -500,9 +479,7 @@ def _describe_panel(ratings: DataFrame, hit: set[object]) -> DataFrame:
                 figures |= {figure: getattr(icc, figure) for figure in FIGURES[:-1]}
             if (np.isfinite(votes).sum(axis=1) >= SMALLEST).sum() >= SMALLEST:
                 figures["alpha"] = krippendorff_alpha(votes)
-            sizes = {"n_participants": votes.shape[1], "n_items": len(votes)}
-            sizes["n_complete"] = len(complete)
-            rows.append({"scale": scale, "panel": name, **sizes, **figures})
+            rows.append((scale, name, votes.shape[1], len(votes), len(complete), *figures.values()))
     columns = ["scale", "panel", "n_participants", "n_items", "n_complete", *FIGURES]
     return pd.DataFrame(rows, columns=columns)
 
@@ -526,8 +503,7 @@ def _explain(
     """Name the protocol that was assumed, the rules that are not meant for what was rated, and those without data."""
     bound = [name for name in found if RULES[name].protocols]
     unsighted = not rows["protocol"].isin(SIGHTED).any()
-    if bound:
-        yield from assumed
+    yield from assumed if bound else ()
     if bound and unsighted:
         known = " and ".join(sorted(set(rows["protocol"]) - {""}))
         of = f"these are of {known}" if known else "a column protocol that says so is missing"

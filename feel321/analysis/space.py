@@ -19,13 +19,12 @@ from scipy.stats import chi2
 
 from feel321.analysis.arrays import CONFIDENCE, FLAT, Values, read_array, read_numbers
 from feel321.analysis.resampling import draw_counts
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.items import Table, open_ratings
-from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import PAIRED
-from feel321.doors import as_rng
-from feel321.names import METRIC_INFO, REDUCER_NAMES
+from feel321.arguments import as_rng
 from feel321.records import Statistic
-from feel321.types import Rng
+from feel321.types import METRIC_INFO, REDUCER_NAMES, Rng
 
 FEWEST = 3  # Stimuli that make a shape
 CUBE = 3  # Axes of a stack of matrices
@@ -185,7 +184,15 @@ def align_spaces(
     """
     if permutations < 1:
         raise ValueError(f"permutations must be 1 or more, got {permutations}; use 2000")
-    one, other = _check_positions(positions, "positions"), _check_positions(reference, "reference")
+    one, other = (
+        read_array(given, what=name, axes=("stimuli", "dimensions"))
+        for name, given in (("positions", positions), ("reference", reference))
+    )
+    for name, place in (("positions", one), ("reference", other)):
+        if len(place) < FEWEST:
+            raise ValueError(f"{name} must be of 3 stimuli or more, got shape {place.shape}")
+        if ((place - place.mean(axis=0)) ** 2).sum() <= FLAT * (place**2).sum():
+            raise ValueError(f"{name} must have a shape, got all stimuli in one place")
     if len(one) != len(other):
         got = f"got {len(other)} stimuli"
         raise ValueError(f"reference must be of the same {len(one)} stimuli, {got}")
@@ -199,15 +206,6 @@ def align_spaces(
         "Alignment", disparity=disparity, correlation=float(np.sqrt(1 - disparity)), p=p,
         aligned=_align(one, other), permutations=permutations,
     )  # fmt: skip
-
-
-def _check_positions(given: ArrayLike, name: str) -> Values:
-    place = read_array(given, what=name, axes=("stimuli", "dimensions"))
-    if len(place) < FEWEST:
-        raise ValueError(f"{name} must be of 3 stimuli or more, got shape {place.shape}")
-    if ((place - place.mean(axis=0)) ** 2).sum() <= FLAT * (place**2).sum():
-        raise ValueError(f"{name} must have a shape, got all stimuli in one place")
-    return place
 
 
 def _normalise(place: Values) -> Values:
@@ -228,11 +226,8 @@ def _align(one: Values, other: Values) -> Values:
     return aligned
 
 
-# What the axes are associated with: every stimulus of every recording is a point.
-
+# Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1.
 DIRECTIONS = "directions"
-"""Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1."""
-
 ENOUGH = 10  # points for each attribute that a regression wants
 ROUNDING = 1e-9
 ALL_ORDERS = math.factorial(6)  # permutations up to which each is tried

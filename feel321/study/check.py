@@ -1,7 +1,8 @@
 """`check` and `build`: the steps of a study before its sessions."""
 
 import csv
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -9,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321 import intake
-from feel321.doors import follow
+from feel321.arguments import follow
+from feel321.files import open_text
 from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import make_scales
@@ -25,10 +26,9 @@ from feel321.study.actuator.certificate import judge_certificates, list_certific
 from feel321.study.actuator.rig import FILE_DEVICE, Rig, read_rig
 from feel321.study.evidence.checkpoints import declaring
 from feel321.study.folder import Problems, StudyFolder
-from feel321.study.minutes import measure_design
+from feel321.study.minutes import Pace, measure_length
 from feel321.study.session.journal import Clock, utc_now
-from feel321.study.session.plan import PLAN_FILE, Design, make_plan
-from feel321.study.sessions import list_rig_problems
+from feel321.study.session.plan import PLAN_FILE, Design, make_plan, make_trials
 from feel321.study.settings import read
 from feel321.study.settings.schema import Settings, count_groups
 
@@ -133,9 +133,9 @@ def check_study(
     elif study.participants:
         lost = "missing, but sessions were run with it; put it back or build it again"
         found += Problems((f"{study.stimuli}: {lost}",))
-    remarks = tuple(f"{one.name}: {text}" for one in facts for text in one.warnings)
-    warnings = () if found.problems else tuple(find_warnings(study, settings, facts))
-    return found + Problems(warnings=warnings, remarks=remarks)
+    warnings = [f"{one.name}: {text}" for one in facts for text in one.warnings]
+    warnings += [] if found.problems else find_warnings(study, settings, facts)
+    return found + Problems(warnings=tuple(warnings))
 
 
 def _examine(
@@ -180,7 +180,8 @@ def _foresee(
         one.name: crop[1] - crop[0] if (crop := crops[one.name]) else one.duration_s for one in seen
     }
     with suppress(ValueError):  # what keeps trials from being made is found by itself
-        length = measure_design(design, items, durations=durations, groups=groups)
+        plans = [make_trials(design, items, number=number) for number in range(1, groups + 1)]
+        length = measure_length(plans, durations, Pace())
         note = f"{study.settings.name}: {length.describe()}"
         found += Problems(notes=(note,), figures={"session": asdict(length)})
     return found
@@ -227,10 +228,10 @@ def _check_set(
 
 def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that the metrics that the analysis declares are numeric columns of the manifest, or computed by it."""
-    from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
+    from feel321.analysis.table.columns import ROTATIONS  # build needs nothing of the analysis
 
     known: dict[str, None] = {}
-    with intake.open_text(study.manifest) as file:
+    with open_text(study.manifest) as file:
         for name, cell in (pair for row in csv.DictReader(file) for pair in row.items()):
             with suppress(ValueError):
                 float(cell)
@@ -271,17 +272,16 @@ def _check_rig(
     study: StudyFolder, settings: Settings, *, now: Clock
 ) -> tuple[Rig | None, Problems]:
     """Check the rig, where there is one, and the certificate that a session would use. An unusable rig is None."""
-    from feel321.study.actuator.render import find_mix
+    from feel321.study.actuator import render
 
     if not study.rig.is_file():
         return None, Problems()
-    name, own, place = study.rig.name, settings.rig, ""
+    name, own = study.rig.name, settings.rig
     try:
         rig = read_rig(study.rig)
-        place = f"{name}: "
-        find_mix(rig)
+        render.find_mix(rig)
     except ValueError as error:
-        return None, Problems(tuple(f"{place}{line}" for line in str(error).splitlines()))
+        return None, Problems(tuple(str(error).splitlines()))
     certificate, faults = judge_certificates(study.path, rig, now=now(), rate_hz=own.rate_hz)
     lines, found = tuple(f"{name}: {fault}" for fault in faults), Problems()
     if certificate is not None:
@@ -296,10 +296,20 @@ def _check_rig(
         stimuli = read_stimuli(study.stimuli)
     except (OSError, ValueError):
         return rig, found  # not built yet, or damaged, which is found by itself
-    problems = list_rig_problems(
-        study, rig, settings=settings, stimuli=stimuli, certificate=certificate
-    )
+    problems, _ = render.find_rig_problems(rig, stimuli, settings, certificate=certificate)
     return rig, found + Problems(tuple(problems))
+
+
+def find_copies(facts: Iterable[sets.Facts]) -> list[str]:
+    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
+    names: defaultdict[str, list[str]] = defaultdict(list)
+    for one in facts:
+        names[one.sha256].append(one.name)
+    return [
+        f"recordings {' and '.join(same)} hold the same; leave one out, unless that is meant"
+        for sha256, same in names.items()
+        if sha256 and len(same) > 1
+    ]
 
 
 def find_warnings(
@@ -311,7 +321,7 @@ def find_warnings(
         for name in settings.tasks
         if name not in settings.session.protocols
     ]
-    remarks += sets.find_copies(recordings)
+    remarks += find_copies(recordings)
     remarks += [
         f"recording {one.name!r}, at {one.rate_hz:g} Hz: holds nothing above {one.rate_hz / 2:g} Hz, so its matches "
         f"compare less than 20 to {HIGHEST_HZ:g} Hz; record at {2 * HIGHEST_HZ:g} Hz or more, or report the band"

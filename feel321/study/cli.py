@@ -7,6 +7,7 @@ An error is one line on stderr.
 from __future__ import annotations
 
 import errno
+import gc
 import inspect
 import os
 import shutil
@@ -28,8 +29,9 @@ from cyclopts import App, Argument, CycloptsError, Parameter, UnusedCliTokensErr
 from cyclopts.annotations import resolve_optional
 from cyclopts.exceptions import MissingArgumentError
 
-from feel321 import __version__, files, intake
-from feel321.doors import clean_text
+from feel321 import __version__, files
+from feel321.arguments import clean_text
+from feel321.files import clip
 from feel321.study import options, verbs
 from feel321.study.folder import SETTINGS_FILE, Outcome, StudyFolder, UsageError, require_study
 from feel321.study.study import Study
@@ -40,8 +42,6 @@ if TYPE_CHECKING:
     from feel321.stimuli.sets.manifest import StimulusSet
     from feel321.study.folder import Audit, Problems, Seal
     from feel321.study.power import StudyPower
-    from feel321.study.session.ports import Place
-    from feel321.study.status import Status
 
 DONE, COULD_NOT, WRONG_USE, INTERRUPTED, SIGNALLED = 0, 1, 2, 130, 128
 
@@ -65,6 +65,7 @@ VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
+MOST_NEW = 50_000  # objects before garbage is looked for: among what was imported there is none
 LONGEST = 1000  # letters of a line of an error
 # Switches that every verb has, in any place.
 SWITCHES = {"-q": "quiet", "--quiet": "quiet", "--traceback": "traceback"}
@@ -103,6 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = ["--help" if word == "-h" else word for word in given[:end] if word not in SWITCHES]
     call = Call((*words, *given[end:]), **switches)
     token = CALL.set(call)
+    gc.set_threshold(MOST_NEW)
     try:
         with handle_signals(), warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: warn(str(message))
@@ -178,7 +180,7 @@ def _describe(error: Exception) -> str:
 
 def _complain(message: str, *, code: int) -> int:
     for line in cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
-        echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
+        echo(f"feel321: {clip(clean_text(line), LONGEST)}", err=True)
     return code
 
 
@@ -286,13 +288,12 @@ def finish(outcome: Outcome | None, *, as_json: bool) -> int:
 
 def show_problems(study: Study, found: Problems) -> Outcome:
     """Show what stands in the way of a study; warnings go to stderr."""
-    for text in (*cap(found.remarks), *cap(found.warnings)):
+    for text in cap(found.warnings):
         warn(text)
-    count = len(found.warnings) + len(found.remarks)
+    count = len(found.warnings)
     counted = f", {count} warning{'s' * (count > 1)}" if count else ""
     good = f"{found.subject or study.folder.path}: no problems{counted}"
-    warnings = (*found.remarks, *found.warnings)
-    facts = {"problems": found.problems, "warnings": warnings, "notes": found.notes}
+    facts = {"problems": found.problems, "warnings": found.warnings, "notes": found.notes}
     lines = [*(cap(found.problems) or [good]), *found.notes]
     return Outcome({**facts, **found.figures}, lines, failed=bool(found.problems))
 
@@ -305,16 +306,6 @@ def show_set(study: Study, found: StimulusSet) -> Outcome:
     count, folder = len(found.stimuli), str(found.folder)
     facts = {"stimuli": count, "folder": folder, "sha256": found.sha256, "notes": notes}
     return Outcome(facts, [f"{folder}: {count} stimuli, set {found.sha256[:12]}", *cap(notes)])
-
-
-def show_status(_study: Study, found: Status) -> Outcome:
-    """Show the table of participants."""
-    return Outcome(asdict(found), [found.summary()])
-
-
-def show_session(_study: Study, found: Place) -> Outcome:
-    """Show nothing: the session has said how far it is."""
-    return Outcome({}, failed=bool(found.stopped))
 
 
 def show_page(_study: Study, found: Results | StudyPower) -> Outcome:
@@ -349,7 +340,8 @@ def show_seal(study: Study, found: Seal) -> Outcome:
 
 SHOWN: dict[str, Callable[[Study, Any], Outcome]] = {  # verb -> what shows the result of its method
     "analyze": show_page, "audit": show_audit, "build": show_set, "check": show_problems, "power": show_page,
-    "run": show_session, "seal": show_seal, "status": show_status,
+    "seal": show_seal, "status": lambda _, found: Outcome(asdict(found), [found.summary()]),
+    "run": lambda _, found: Outcome({}, failed=bool(found.stopped)),  # the session has said how far it is
 }  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.files import create_text, is_of_group, make_folder
 from feel321.records import Result
 from feel321.study.session.events import PartPlayed
@@ -301,7 +301,7 @@ class Findings(Result):
 
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Problems(Findings):
-    """What stands in the way of a study; what may not be meant; how strong stimuli are; remarks on recordings.
+    """What stands in the way of a study; what may not be meant; how strong stimuli are.
 
     subject: what was checked, if not the study.
     """
@@ -309,7 +309,6 @@ class Problems(Findings):
     problems: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
     subject: str = ""
 
@@ -321,7 +320,7 @@ class Problems(Findings):
 
     def __add__(self, other: Problems) -> Problems:
         """Put what was found in two parts of a study together."""
-        names = ("problems", "warnings", "notes", "remarks")
+        names = ("problems", "warnings", "notes")
         texts = {name: getattr(self, name) + getattr(other, name) for name in names}
         return Problems(**texts, figures={**self.figures, **other.figures})
 

@@ -5,7 +5,7 @@ the journals of real participants; before there are any, from the response times
 """
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import exp
@@ -13,13 +13,13 @@ from statistics import median
 
 from feel321.protocols.agenda import SECONDS, Agenda
 from feel321.protocols.threshold import name_tone
-from feel321.protocols.trial import VALID, Item, Page, Trial
+from feel321.protocols.trial import VALID, Page, Trial
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.study.folder import StudyFolder
 from feel321.study.session.engine import find_gap
 from feel321.study.session.events import PageRead, QuestionAnswered, TrialRated, TrialShown
 from feel321.study.session.journal import Records
-from feel321.study.session.plan import Design, Dossier, Plan, make_trials, replay
+from feel321.study.session.plan import Dossier, Plan, replay
 
 # Mean and standard deviation of the logarithm of a response time in s: a median of 2.0 s.
 UNHURRIED = (0.7, 0.4)
@@ -118,14 +118,6 @@ def measure_length(plans: Iterable[Plan], durations: Durations, pace: Pace) -> L
     minutes = [taken for taken, _ in whole]
     most = max(sum(trial.phase == "main" for trial in trials) for _, trials in whole)
     return Length(min(minutes), max(minutes), most, pace.participants)
-
-
-def measure_design(
-    design: Design, items: Sequence[Item], *, durations: Durations, groups: int
-) -> Length:
-    """Measure how long the sessions of a design take, in each of so many groups."""
-    plans = (make_trials(design, items, number=number) for number in range(1, groups + 1))
-    return measure_length(plans, durations, Pace())
 
 
 def find_left(

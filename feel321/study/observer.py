@@ -218,15 +218,6 @@ class Experience:
     tones: dict[str, Tone] = field(default_factory=dict)
     levels_db: dict[str, float] = field(default_factory=dict)
 
-    def find(self, part: str) -> Location:
-        """Find where a part lies."""
-        if part not in self.points:
-            raise ValueError(
-                f"simulated observer: part {part!r} of trial {self.trial.number} was to be rated before it was felt; "
-                "play it first"
-            )
-        return self.points[part]
-
     def find_reference(self, judgement: Judgement) -> Location:
         """Find where the reference of a judgement lies."""
         felt = {part.stimulus_id: part.name for part in reversed(self.trial.parts)}
@@ -237,7 +228,7 @@ class Experience:
                 f"simulated observer: trial {self.trial.number}: the reference must be the stimulus of one of its "
                 f"parts, got {judgement.reference_id!r}; add a part that plays it"
             )
-        return self.find(felt[judgement.reference_id])
+        return self.points[felt[judgement.reference_id]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +276,10 @@ class Touch:
 
     def judge(self, experience: Experience, judgement: Judgement) -> float:
         """Compute the slider answer, uncut, of a participant without bias, noise or habit, in points."""
-        sure, point = PROTOCOLS[experience.trial.protocol].sure_end, experience.find(judgement.part)
+        sure, point = (
+            PROTOCOLS[experience.trial.protocol].sure_end,
+            experience.points[judgement.part],
+        )
         if judgement.reference_id is None:
             return self.feel(point)
         reference = experience.find_reference(judgement)
@@ -299,8 +293,10 @@ class Touch:
         """Compute how far each candidate is from the part asked about, or from the reference of a choice, in points."""
         is_candidate = judgement.part in choices
         measure = self.measure_shortfall if is_candidate else self.measure_distance
-        find = experience.find_reference if is_candidate else lambda one: experience.find(one.part)
-        return {name: measure(experience.find(name), find(judgement)) for name in choices}
+        find = (
+            experience.find_reference if is_candidate else lambda one: experience.points[one.part]
+        )
+        return {name: measure(experience.points[name], find(judgement)) for name in choices}
 
 
 # Who the simulated participants of a study are.
@@ -375,7 +371,7 @@ class Participant:
         values: dict[str, float | str] = {}
         for judgement in trial.judgements:
             if judgement.part in scale.choices and judgement.reference_id is None:
-                percepts = {name: touch.feel(experience.find(name)) for name in scale.choices}
+                percepts = {name: touch.feel(experience.points[name]) for name in scale.choices}
                 values[judgement.part] = rater.prefer(percepts, rng)
             elif scale.choices:
                 distances = touch.compare(experience, judgement, scale.choices)

@@ -20,7 +20,6 @@ from statistics import fmean, stdev
 from typing import Any
 
 from feel321.files import make_folder, write_table
-from feel321.names import MATCHES
 from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.threshold import SECOND, Matching
 from feel321.protocols.trial import MATCHING, Trial
@@ -30,6 +29,7 @@ from feel321.study.session import events
 from feel321.study.session.journal import Records, list_journals, name_journal
 from feel321.study.session.plan import Dossier, Plan, list_by_code, read_as_written
 from feel321.study.thresholds import find_own_levels
+from feel321.types import MATCHES
 
 MATCHES_FILE = "matches.csv"
 MATCH_COLUMNS = (
@@ -235,11 +235,13 @@ def write_wide(study: Path, rows: Iterable[Mapping[str, Any]]) -> None:
         trials = [list(one) for _, one in groupby(own, key)]
         numbers = range(1, max(map(len, trials)) + 1)
         columns = [*ONCE.values(), *(f"{column}_{k}" for k in numbers for column in EACH.values())]
-        write_table(folder / f"{name}.csv", columns, map(_widen, trials), private=True)
-
-
-def _widen(judgements: list[Mapping[str, Any]]) -> dict[str, Any]:
-    row = {column: judgements[0][name] for name, column in ONCE.items()}
-    for number, one in enumerate(judgements, start=1):
-        row |= {f"{column}_{number}": one[name] for name, column in EACH.items()}
-    return row
+        rows = [
+            {column: one[0][name] for name, column in ONCE.items()}
+            | {
+                f"{column}_{n}": judged[name]
+                for n, judged in enumerate(one, start=1)
+                for name, column in EACH.items()
+            }
+            for one in trials
+        ]
+        write_table(folder / f"{name}.csv", columns, rows, private=True)

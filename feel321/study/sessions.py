@@ -104,30 +104,3 @@ def lead_session(
                 own, shown, stimuli=stimuli, journal=journal, scales=scales, on_step=note, keep=keep
             )
         return outcome, journal.notice
-
-
-def list_rig_problems(
-    study: StudyFolder,
-    rig: Rig,
-    *,
-    settings: Settings,
-    stimuli: StimulusSet,
-    certificate: Certificate | None = None,
-    sounds: dict[str, Frames] | None = None,
-) -> list[str]:
-    """List the problems that keep a rig from playing a study's stimuli as they are; sounds: takes them, rendered."""
-    from feel321.study.actuator import render
-
-    own, name = settings.rig, study.rig.name
-    try:
-        render.find_mix(rig)
-    except ValueError as error:
-        return [f"{name}: {error}"]
-    rate_hz, most = own.rate_hz, own.full_scale_m_s2
-    problems = render.find_rig_problems(
-        rig, stimuli, rate_hz=rate_hz, full_scale_m_s2=most, certificate=certificate, sounds=sounds
-    )
-    if threshold := settings.session.threshold:
-        block = threshold.make_block()
-        problems += render.find_tone_problems(block, rig, rate_hz=rate_hz, certificate=certificate)
-    return [f"{name}: {problem}" for problem in problems]

@@ -4,11 +4,10 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from functools import partial
-from itertools import count
+from itertools import count, islice
 from threading import Event, Lock
-from typing import NamedTuple
 
-from feel321.doors import follow
+from feel321.arguments import follow
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.evidence.checkpoints import note_checkpoint
 from feel321.study.folder import OpenStudy, Outcome, StudyFolder
@@ -21,11 +20,10 @@ from feel321.study.observer import (
     make_model,
 )
 from feel321.study.participants.answers import write_answers
-from feel321.study.participants.roster import write_roster
+from feel321.study.participants.roster import PLANNED, read_holder, write_roster
 from feel321.study.ratings import write_matches, write_ratings
-from feel321.study.session.events import SessionReleased
-from feel321.study.session.journal import Clock, Journal, list_journals, read_journal
-from feel321.study.session.plan import TOMBSTONE_FILE, Plan
+from feel321.study.session.journal import Clock, Journal
+from feel321.study.session.plan import Plan
 from feel321.study.session.ports import Presenter
 from feel321.study.sessions import Room, lead_session, open_room, plan_sessions
 from feel321.study.settings.read import make_identity, read_settings, require_current_set
@@ -36,21 +34,19 @@ SIDE_BY_SIDE = 16
 """Sessions at the same time: each waits for the disk after every record, and a disk syncs several files at once."""
 
 
-class Planted(NamedTuple):
-    """What simulated participants plant in realism ratings: points per +0.1 of a metric, and points of a reducer."""
+def regress_planted(
+    settings: Settings, stimuli: StimulusSet
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Compute what simulated participants plant in realism ratings: a regression within recordings, after clipping.
 
-    slopes: dict[str, float]
-    reducers: dict[str, float]
-
-
-def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
-    """Compute what simulated participants plant in realism ratings: a regression within recordings, after clipping."""
+    Returns points per +0.1 of each metric, and points of each reducer.
+    """
     import numpy as np
 
     model = make_model(settings)
     tests = [stimulus for stimulus in stimuli.stimuli if stimulus.role == "test"]
     if "realism" not in settings.session.protocols or not tests:
-        return Planted({}, {})
+        return {}, {}
     touch = Touch(model)
     points = [touch.locate(stimulus) for stimulus in tests]
     ratings = expect_rating(model, [touch.feel(point) for point in points])
@@ -67,7 +63,7 @@ def regress_planted(settings: Settings, stimuli: StimulusSet) -> Planted:
     found = np.linalg.lstsq(values[:, :-1], values[:, -1], rcond=None)[0].tolist()
     metrics = (model.spectral_metric, "temporal_match")
     slopes = {name: slope / 10 for name, slope in zip(metrics, found[:2], strict=True)}
-    return Planted(slopes, dict(zip(terms, found[2:], strict=True)))
+    return slopes, dict(zip(terms, found[2:], strict=True))
 
 
 def report_simulated(lab: OpenStudy, participants: int, seed: int | None) -> Outcome:
@@ -153,16 +149,9 @@ def _run_sessions(
 
 def list_participants(study: StudyFolder, number: int) -> list[str]:
     """List the codes of simulated participants, without those who were released or withdrawn."""
-    names: list[str] = []
-    for place in count(1):
-        if len(names) == number:
-            break
-        folder = study.sessions / f"sim{place:03d}"
-        journals = list_journals(folder)
-        released = journals and read_journal(journals[-1]).records.has(SessionReleased)
-        if not (released or (folder / TOMBSTONE_FILE).exists()):
-            names.append(folder.name)
-    return names
+    folders = (study.sessions / f"sim{place:03d}" for place in count(1))
+    known = ((folder.name, read_holder(folder)) for folder in folders)
+    return list(islice((name for name, own in known if not own or own.state == PLANNED), number))
 
 
 @contextmanager

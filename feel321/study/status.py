@@ -29,7 +29,7 @@ from feel321.study.terminal import echo
 from feel321.study.thresholds import find_warnings, read_thresholds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pandas import DataFrame
 
@@ -51,32 +51,16 @@ EVERY_S = 5.0  # how often the page is renewed, and how often a browser reads it
 OWN_PAGE = '<meta name="generator" content="feel321 status --watch">'  # marks pages of this module
 
 
-@dataclass(frozen=True, slots=True)
-class Evenness:
-    """How often conditions of one task met positions, and each other: the least and the most."""
-
-    task: str
-    what: str
-    positions: tuple[int, int]
-    carry_over: tuple[int, int]
-
-
-@dataclass(frozen=True, slots=True)
-class BalanceAsRun:
-    """Balance of all sessions so far, drop-outs and second attempts included."""
-
-    simulated: bool
-    participants: int
-    finished: int
-    evenness: tuple[Evenness, ...]
-
-
 @dataclass(frozen=True, slots=True, repr=False, eq=False)
 class Status(Result):
-    """Progress of a study; frozen: whether its choices are, in a line; shows_notes: in its summary."""
+    """Progress of a study; frozen: whether its choices are, in a line; shows_notes: in its summary.
+
+    balance: of all sessions so far, drop-outs and second attempts included; by task, how often conditions met positions
+    and each other, the least and the most.
+    """
 
     participants: tuple[Progress, ...]
-    balance: BalanceAsRun | None
+    balance: Mapping[str, Any] | None
     length: minutes.Length | None = None
     frozen: str = ""
     shows_notes: bool = False
@@ -199,7 +183,7 @@ def watch_study(study: StudyFolder, page: Path, *, now: Clock) -> None:
 
 def write_page(study: StudyFolder, known: Known, now: datetime, *, is_over: bool = False) -> str:
     """Write the page; nothing that was written in free words is shown."""
-    from feel321.analysis.page import render_template
+    from feel321.analysis.words import render_template
 
     rows: list[dict[str, Any]] = []
     for one in sorted(look(study, known)[0], key=lambda one: STATES.index(one.state)):
@@ -257,7 +241,7 @@ def find_flags(chain: Chain) -> Iterator[str]:
         yield f"{len(said)} x {said[0]}"
 
 
-def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> BalanceAsRun | None:
+def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> dict[str, Any] | None:
     """Measure the balance of the trials that counted, of real participants if there are any."""
     begun = [(dossier, trials) for dossier, trials in everybody if trials]
     simulated = all(dossier.plan.simulated for dossier, _ in begun)
@@ -269,24 +253,27 @@ def measure_realised(everybody: Iterable[tuple[Dossier, list[Trial]]]) -> Balanc
     for dossier, trials in run:
         for task, what, among, conditions in _split(dossier.plan, trials):
             groups[task, what][among].append(conditions)
-    evenness = [
-        Evenness(task, what, *measure_balance(sequences.values()))
-        for (task, what), sequences in groups.items()
-    ]
+    evenness = []
+    for (task, what), sequences in groups.items():
+        positions, carry_over = measure_balance(sequences.values())
+        own = {"task": task, "what": what, "positions": positions, "carry_over": carry_over}
+        evenness.append(own)
     over = [one.records for one, _ in run if one.records.has(events.SessionFinished)]
     finished = sum(not records.has(events.SessionReleased) for records in over)
-    return BalanceAsRun(simulated, len(run), finished, tuple(evenness))
+    counted = {"simulated": simulated, "participants": len(run), "finished": finished}
+    return {**counted, "evenness": evenness}
 
 
-def describe_balance(realised: BalanceAsRun | None) -> list[str]:
+def describe_balance(realised: Mapping[str, Any] | None) -> list[str]:
     """Describe the balance of a study so far."""
     if realised is None:
         return ["balance: no trial was run yet"]
-    lines = [f"balance: {realised.finished} finished{' (simulated)' if realised.simulated else ''}"]
-    for one in realised.evenness:
-        places, neighbours = ("{} to {}".format(*ends) for ends in (one.positions, one.carry_over))
+    who = " (simulated)" if realised["simulated"] else ""
+    lines = [f"balance: {realised['finished']} finished{who}"]
+    for one in realised["evenness"]:
+        places, neighbours = ("{} to {}".format(*one[ends]) for ends in ("positions", "carry_over"))
         counts = f"{places} at each position, {neighbours} after each other"
-        lines.append(f"  {one.task}, {one.what}: {counts}")
+        lines.append(f"  {one['task']}, {one['what']}: {counts}")
     return lines
 
 

@@ -11,18 +11,17 @@ from operator import attrgetter, itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.names import ANCHOR
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.sets.build import Foreseen
 from feel321.stimuli.sets.manifest import StimulusSet, find_raised
 from feel321.stimuli.sets.recipe import GAIN_PER_RECORDING, ONE_GAIN, ORIGINAL, Recipe
-from feel321.stimuli.sets.render import find_headroom_cost
 from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold, to_db
 from feel321.study.actuator import render
 from feel321.study.actuator.rig import REDUCED, Rig
 from feel321.study.folder import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
+from feel321.types import ANCHOR
 
 WEAK_DB = 10.0  # with less over the threshold stimuli are felt, but hardly as what they are
 REACH_DB = 12.0  # three standard deviations of thresholds between participants
@@ -97,7 +96,9 @@ def _describe_gains(gains: Sequence[Gain], recipe: Recipe) -> list[str]:
     peaks: dict[str, float] = {}
     for recording, _, gain, peak in common if recipe.gain == ONE_GAIN else ():
         peaks[recording] = max(peak / gain, peaks.get(recording, -1.0))
-    recording, cost_db = find_headroom_cost(peaks) if peaks else ("", 0.0)
+    recording, *others = sorted(peaks, key=lambda name: -peaks[name]) or [""]
+    second = peaks[others[0]] if others else 0.0
+    cost_db = to_db(peaks[recording] / second) if second else 0.0
     if cost_db >= COSTLY_DB:
         lines.append(
             f"headroom: the peak of recording {recording!r} sets the gain; all other recordings are played "

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
-from feel321.doors import as_names, as_path, as_seed, follow
+from feel321.arguments import as_names, as_path, as_seed, follow
 from feel321.jobs import as_workers
 from feel321.study.folder import (
     OpenStudy,
@@ -140,8 +140,7 @@ class Study(OpenStudy):
         scheduler : str
             A Dask cluster instead: tls://HOST:PORT, or tcp://HOST:PORT (whoever reaches it can run programs).
         """
-        from feel321.stimuli.sets.build import find_copies
-        from feel321.study.check import build_study
+        from feel321.study.check import build_study, find_copies
 
         with follow(self.progress, "build") as step:
             facts, stimuli = build_study(
@@ -227,7 +226,6 @@ class Study(OpenStudy):
                 sizes,
                 studies=studies,
                 seed=self.settings.study.seed if seed is None else seed,
-                keep=target / power.KEPT,
                 workers=as_workers(workers, scheduler),
                 progress=step,
             )
@@ -254,7 +252,7 @@ class Study(OpenStudy):
         redesign : bool
             Design the filters anew from the stored sweeps, without playing.
         """
-        from feel321.study.actuator.verbs import calibrate_rig
+        from feel321.study.actuator.calibrate import calibrate_rig
 
         return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
 
@@ -275,7 +273,7 @@ class Study(OpenStudy):
         seconds : float
             Duration of the pulse train, in s.
         """
-        from feel321.study.actuator.verbs import examine_study_rig
+        from feel321.study.actuator.doctor import examine_study_rig
 
         return examine_study_rig(self, device=device, seconds=seconds)
 
@@ -344,17 +342,9 @@ class Study(OpenStudy):
         room = read_room(self.choose(rehearse), now=self.now)
         room = replace(room, windowed=windowed, screen=screen, device=device)
         room = replace(room, accept_rig=accept_rig, lsl=lsl)
-        with SessionLog(participant, room.study.rig) as log:
-            outcome = run_participant(
-                room,
-                participant,
-                simulated=simulate_participant,
-                seed=seed,
-                on_step=log.note,
-                warn=self.say,
-            )
-            log.end(outcome)
-        return outcome
+        run = partial(run_participant, room, participant, simulated=simulate_participant)
+        log = SessionLog(participant, room.study.rig)
+        return log.lead(partial(run, seed=seed, warn=self.say))
 
     def simulate(self, participants: options.People = 16, rng: options.Seed = None) -> Outcome:
         """Run sessions with simulated participants, or resume them.

@@ -9,8 +9,8 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321 import intake
-from feel321.doors import as_path, follow, name_of
+from feel321.arguments import as_path, follow, name_of
+from feel321.files import read_small
 from feel321.jobs import as_workers
 from feel321.study.folder import (
     Outcome,
@@ -101,7 +101,7 @@ def demo(*, out: options.Target = Path("demo-study")) -> None:
     refusal = ""
     if not folder.settings.is_file():
         refusal = f"{folder.path}: holds files that demo did not write"
-    elif intake.read_small(folder.settings) != read_template():
+    elif read_small(folder.settings) != read_template():
         refusal = f"{folder.settings}: edited, or written by another version of feel321"
     elif people:
         refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"
@@ -157,7 +157,8 @@ def reduce(
     reduce_it, path, target = _choose(open_reducer, reducer), as_path(recording), as_path(out)
     if target.suffix.lower() != ".wav":
         raise UsageError(f"--out must end in .wav, got {str(target)!r}; give it that ending")
-    read, sidecar = _read(source, path), target.with_suffix(".json")
+    read, sidecar = source.read(path), target.with_suffix(".json")
+    _report_warnings([read])
     _check_output(path, target, sidecar, force=force)
     conditioned, said = _condition(read, None if raw else Conditioning())
     method = getattr(reduce_it, "method", None)
@@ -215,7 +216,8 @@ def match(
     from feel321.study.settings.read import open_metric
 
     further = {name_of(name): _choose(open_metric, name) for name in metric}
-    read, path = _read(source, as_path(recording)), as_path(reduced)
+    read, path = source.read(as_path(recording)), as_path(reduced)
+    _report_warnings([read])
     if not path.exists():
         raise FileNotFoundError(f"{path}: there is no such file; check the name")
     samples, rate_hz = read_wav(path)
@@ -228,13 +230,6 @@ def match(
     reasons = "; ".join(f"{name}: {reason}" for name, reason in facts["reasons"].items())
     faults = [f"{read.name}: {reasons}"] if reasons else []
     return Outcome(facts, [*format_facts(facts)], faults=faults)
-
-
-def _read(source: options.Reading, path: Path) -> Recording:
-    """Read a recording, and print what was noticed in it."""
-    recording = source.read(path)
-    _report_warnings([recording])
-    return recording
 
 
 def _report_warnings(recordings: Iterable[Recording]) -> None:

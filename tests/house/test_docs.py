@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from feel321.analysis.table.dictionary import read_dictionary
+from feel321.analysis.table.columns import read_dictionary
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, temporal_match
 from feel321.stimuli.reducers.registry import REDUCERS
@@ -196,7 +196,7 @@ def test_every_setting_is_accepted(blocks: list[tuple[str, str, str]], tmp_path:
     study, rig = tmp_path / "study.toml", tmp_path / "rig.toml"
     for text in (text for _, language, text in blocks if language == "toml"):
         given = tomllib.loads(text)
-        if {"actuators", "keys", "trigger"} & given.keys():
+        if {"actuators", "keys", "sync"} & given.keys():
             rig.write_text(RIG + text, encoding="utf-8")
             read_rig(rig)
         else:

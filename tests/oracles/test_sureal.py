@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from feel321.analysis.consistency import rater_model
+from feel321.analysis.agreement import rater_model
 
 CLOSE = 1e-6
 """SUREAL stops where the norm of the change of all qualities is below 1e-8, on votes from 1 to 5."""

@@ -9,7 +9,7 @@ from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, temporal_match
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.stimuli.sets.recipe import ANCHORS, low_anchor, mid_anchor, weigh_bands
+from feel321.stimuli.sets.recipe import ANCHORS, weigh_bands
 from feel321.stimuli.synthesis import SCENES, make_scene
 
 
@@ -89,7 +89,7 @@ def test_the_mid_anchor_follows_envelopes_up_to_50_hz(frequency: float, depth: f
     noise = np.random.default_rng(1).standard_normal((3, len(time_s)))
     swelling = np.sqrt(1 + np.cos(2 * np.pi * frequency * time_s))
     swelling = Recording(noise * swelling, 20_000.0, "swelling")
-    low, mid = (make(swelling, np.random.default_rng(0)) for make in (low_anchor, mid_anchor))
+    low, mid = (make(swelling, np.random.default_rng(0)) for make in ANCHORS.values())
     loud = np.abs(low) > np.median(np.abs(low))
     energy = (mid[loud] / low[loud]) ** 2
     turning = 2 * np.pi * frequency * time_s[loud]

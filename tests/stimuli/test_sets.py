@@ -17,6 +17,7 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.sets.build import (
     BUILT,
     PARTS,
+    Facts,
     Foreseen,
     build_stimuli,
     place_surveyed,
@@ -31,7 +32,7 @@ from feel321.stimuli.sets.manifest import (
     read_stimuli,
 )
 from feel321.stimuli.sets.recipe import ANCHORS, GAINS, Recipe
-from feel321.stimuli.sets.render import Draft, Measured, choose_gains, find_headroom_cost
+from feel321.stimuli.sets.render import Draft, Measured
 from feel321.stimuli.synthesis import SCENES, make_scene
 from feel321.stimuli.thresholds import THRESHOLDS
 from feel321.stimuli.wav import read_wav, write_wav
@@ -122,12 +123,12 @@ def test_an_anchor_never_sets_a_gain_and_is_kept_inside_the_headroom(gain: float
         key: Measured(peak, dict.fromkeys(THRESHOLDS, 10.0), 1.0, 1.0, 1.0, 1.0)
         for key, peak in peaks.items()
     }
-    drafts = {"oak": [Draft("oak", key, role, key) for key, role in roles.items()]}
-    gains = choose_gains(measured, recipe, drafts=drafts)
+    drafts = tuple(Draft("oak", key, role, key) for key, role in roles.items())
+    placed = place_surveyed([Facts("oak", drafts=drafts, measured=measured)], recipe)["oak"]
     for level in BOTH:
         # A gain that is given is that of the level as it is.
         common = gain if isinstance(gain, float) and level == "as_is" else 90 / 45
-        found = {key: gains[level, key] for key in peaks}
+        found = {one.key: one.gain for one in placed if one.level == level}
         assert found == {"test": common, "fits": common, "high": 0.1}
 
 
@@ -184,8 +185,8 @@ def test_a_gain_per_recording_spares_the_others_the_cost_of_a_spike(
     peaks = {
         name: max(one.peak_m_s2 for one in foreseen if one.recording == name) for name in names
     }
-    cost_db = pytest.approx(20 * np.log10(gains["per_recording", "bumps"] / gains["set", "bumps"]))
-    assert find_headroom_cost(peaks) == ("texture_drag", cost_db)
+    cost = gains["per_recording", "bumps"] / gains["set", "bumps"]
+    assert peaks["texture_drag"] / peaks["bumps"] == pytest.approx(cost)
 
 
 def test_what_is_foreseen_is_what_is_built(scenes: list[Recording], tmp_path: Path) -> None:
@@ -294,7 +295,7 @@ def test_a_disk_that_fills_up_leaves_the_old_set_whole(
             raise OSError(28, "No space left on device")
         write_bytes(path, content)
 
-    monkeypatch.setattr("feel321.stimuli.sets.build.write_bytes", write_until_full)
+    monkeypatch.setattr("feel321.files.write_bytes", write_until_full)
     with pytest.raises(OSError, match="No space left"):
         build_stimuli(scenes, tmp_path, recipe=replace(base, gain=2.0))
     monkeypatch.undo()

@@ -21,6 +21,7 @@ from feel321.study.folder import StudyFolder
 from feel321.study.run import run_participant
 from feel321.study.session.journal import read_journal
 from feel321.study.sessions import read_room
+from feel321.study.settings.read import read_settings
 from tests.study.actuator.outside import predict
 from tests.study.conftest import audit_study
 
@@ -191,12 +192,10 @@ def test_stimuli_that_no_longer_fit_are_named(
 ) -> None:
     rig, certificate = filtered
     weak = replace(certificate.coils["coil"], target=certificate.coils["coil"].target / 100)
-    own = {"rate_hz": RATE_HZ, "full_scale_m_s2": 100.0}
-    stimuli = read_stimuli(smallest.stimuli)
-    assert find_rig_problems(rig, stimuli, **own, certificate=certificate) == []
-    found = find_rig_problems(
-        rig, stimuli, **own, certificate=replace(certificate, coils={"coil": weak})
-    )
+    stimuli, settings = read_stimuli(smallest.stimuli), read_settings(smallest.settings)
+    assert find_rig_problems(rig, stimuli, settings, certificate=certificate)[0] == []
+    weakened = replace(certificate, coils={"coil": weak})
+    found, _ = find_rig_problems(rig, stimuli, settings, certificate=weakened)
     assert len(found) > 1
     assert any("above the actuator's measured full scale of" in line for line in found)
     assert "lower max_gain_db or narrow band_hz under [calibration] and calibrate again" in found[0]

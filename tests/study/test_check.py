@@ -1,15 +1,11 @@
 """What `check` finds besides the settings' own mistakes; origins of sets are tested with the provenance."""
 
-import json
-
 import pytest
 
 from feel321.stimuli.sets.build import Facts
 from feel321.study.check import build_study, check_study, find_warnings
-from feel321.study.cli import main
-from feel321.study.folder import Problems, StudyFolder
+from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import read_settings
-from feel321.study.study import Study
 
 
 @pytest.fixture
@@ -99,12 +95,3 @@ def test_a_slow_recording_is_named_with_its_band(
     slow = [line for line in found if line.startswith("recording 'slow'")]
     assert len(slow) == count
     assert all(f"{rate_hz / 2:g} Hz" in line for line in slow)
-
-
-def test_json_holds_what_was_noticed_in_recordings_too(
-    study: StudyFolder, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found = Problems(warnings=("weak",), remarks=("oak: gaps",))
-    monkeypatch.setattr(Study, "check", lambda _: found)
-    assert main(["check", str(study.path), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["warnings"] == ["oak: gaps", "weak"]

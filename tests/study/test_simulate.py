@@ -13,6 +13,7 @@ import pytest
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.check import build_study, find_warnings
 from feel321.study.folder import StudyFolder
+from feel321.study.participants.roster import Tombstone, write_tombstone
 from feel321.study.ratings import write_ratings
 from feel321.study.session.events import SessionReleased
 from feel321.study.session.journal import create_journal
@@ -85,7 +86,8 @@ def test_progress_counts_what_earlier_runs_did(copy: StudyFolder) -> None:
 def test_who_was_released_or_withdrew_is_not_simulated_again(copy: StudyFolder) -> None:
     path = copy.sessions / "sim001" / "session-02.jsonl"  # the newest journal counts
     create_journal(path, now=lambda: datetime.now(UTC)).write(SessionReleased())
-    (copy.sessions / "sim003" / "withdrawn.json").touch()
+    gone = Tombstone("sim003", 3, True, "2026-01-01", "", (), "removed")
+    write_tombstone(copy.sessions / "sim003", gone)
     assert list_participants(copy, 3) == ["sim002", "sim004", "sim005"]
 
 

@@ -157,8 +157,8 @@ def test_balance_of_one_full_circle_is_perfect_and_a_drop_out_shows(
     assert hold(0) is None
     assert describe_balance(None) == ["balance: no trial was run yet"]
     realised = hold(10)  # Two recordings take 2 orders, five stimuli 10.
-    assert (realised.participants, realised.finished) == (10, 10)
-    assert {(e.task, e.what): e.positions for e in realised.evenness} == {
+    assert (realised["participants"], realised["finished"]) == (10, 10)
+    assert {(e["task"], e["what"]): e["positions"] for e in realised["evenness"]} == {
         ("realism", "stimuli"): (2, 2),
         ("realism", "recordings"): (5, 5),
         ("similarity", "stimuli"): (2, 2),
@@ -187,7 +187,7 @@ def test_simulated_participants_do_not_fill_the_places_of_real_ones(
     present(scripted(), plan=make_plan(design, stimuli, "real", number=1, simulated=False))
     realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
-    assert (realised.simulated, realised.participants) == (False, 1)
+    assert (realised["simulated"], realised["participants"]) == (False, 1)
 
 
 def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
@@ -204,7 +204,7 @@ def test_a_second_attempt_counts_where_it_was_run_and_the_bad_one_does_not(
     realised = read_status(StudyFolder(tmp_path)).balance
     assert realised is not None
     # Each of five stimuli stands at one place of five, also the one that came again after the other block.
-    assert [entry.positions for entry in realised.evenness] == [(0, 1)] * 4
+    assert [entry["positions"] for entry in realised["evenness"]] == [(0, 1)] * 4
 
 
 def test_who_only_looks_refuses_no_session(tmp_path: Path) -> None:

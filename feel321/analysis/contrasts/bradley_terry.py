@@ -13,7 +13,7 @@ from scipy.stats import t
 
 from feel321.analysis.arrays import UPPER, Values, check_columns, check_draws, read_groups
 from feel321.analysis.resampling import MOST_UNDEFINED, bootstrap_margin, draw_counts
-from feel321.doors import as_rng, check_name
+from feel321.arguments import as_rng, check_name
 from feel321.records import Statistic
 from feel321.types import Rng
 
@@ -133,29 +133,26 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     source = "95 % Wald interval, comparisons taken for independent"
     notes = [f"{n_ties} ties count half a win for each."] * bool(n_ties)
     if prior:
-        added = f"{prior:g} wins are added to both sides of every row"
-        notes.append(f"{added}: abilities are shrunken.")
+        notes.append(
+            f"{prior:g} wins are added to both sides of every row: abilities are shrunken."
+        )
     if rater:
         everyone = _count_wins(people[kept], row, every)
         source, freedom = "95 % bootstrap interval over raters", float(len(everyone) - 1)
         design_met, _ = _build_design(duels, items, base, order_effect=order_effect)
         errors, more = _bootstrap_errors(everyone, design_met, draws=draws, rng=as_rng(rng))
         notes += more
-    deviance, likelihood = _judge_fit(wins + prior, design @ beta)
+    # Against the model that fits every row, and the binomial log likelihood.
+    odds, wins = design @ beta, wins + prior
+    logs, met = np.stack([log_expit(odds), log_expit(-odds)], axis=1), wins.sum(axis=1)[:, None]
+    deviance = 2 * float((xlogy(wins, wins / met) - wins * logs).sum())
+    ways = float(gammaln(met + 1).sum() - gammaln(wins + 1).sum())
     return Statistic(
         "BradleyTerry", fixed=_tabulate(beta, errors, terms=terms, reference=base, freedom=freedom),
-        deviance=deviance, df=len(wins) - len(terms), log_likelihood=likelihood, reference=base,
+        deviance=max(deviance, 0.0), df=len(wins) - len(terms),
+        log_likelihood=ways + float((wins * logs).sum()), reference=base,
         n_comparisons=float(every.sum()), n_ties=n_ties, uncertainty=source, notes=tuple(notes),
     )  # fmt: skip
-
-
-def _judge_fit(wins: Values, odds: Values) -> tuple[float, float]:
-    """Compute the deviance against the model that fits every row, and the binomial log likelihood."""
-    logs = np.stack([log_expit(odds), log_expit(-odds)], axis=1)
-    met = wins.sum(axis=1, keepdims=True)
-    deviance = 2 * float((xlogy(wins, wins / met) - wins * logs).sum())
-    ways = gammaln(met + 1).sum() - gammaln(wins + 1).sum()
-    return max(deviance, 0.0), float(ways + (wins * logs).sum())
 
 
 def _count_wins(people: Codes, row: Codes, wins: Values) -> Values:
@@ -253,41 +250,45 @@ def _read_rows(pairs: DataFrame, *, ties: str, ordered: bool) -> tuple[Names, Va
         got = type(pairs).__name__
         raise TypeError(f"pairs must be a pandas DataFrame, one row per pair or trial, got {got}")
     check_name(ties, TIES, "ties")
-    n_ties, columns = 0, list(pairs.columns)
+    columns = list(pairs.columns)
     if "winner" in pairs:
         columns = ["winner", "loser"] if "loser" in pairs else [*TRIAL]
         check_columns(pairs, columns, "pairs")
     elif len(columns) < COUNTED:
         must = f"the columns {', '.join(TRIAL)}, or two names and two counts"
         raise ValueError(f"pairs must have {must}, got {', '.join(columns)}")
-    names = sides = _read_names(pairs, columns[:2])
-    if "winner" not in pairs:
-        wins = _read_counts(pairs[columns[2:COUNTED]])
-    elif "loser" not in pairs:
-        wins, n_ties = _read_winners(pairs, names, ties)
-    else:
-        if ordered:
-            known = "pairs that say which was presented first"
-            raise ValueError(f"order_effect needs {known}; leave it out")
-        names = np.sort(names, axis=1)
-        wins = (names == sides[:, :1]).astype(np.float64)
-    return names, wins, n_ties
-
-
-def _read_names(pairs: DataFrame, columns: list[str]) -> Names:
-    for column in columns:
+    for column in columns[:2]:
         if missing := int(pairs[column].isna().sum()):
             got = f"got {missing} rows without a name; name or leave them out"
             raise ValueError(f"pairs must name an item in column '{column}', {got}")
-    names = np.stack([pairs[one].astype(str).to_numpy(dtype=np.str_) for one in columns], axis=1)
-    same = names[:, 0] == names[:, 1]
-    if same.any():
-        got = f"got '{names[same][0, 0]}' against itself; leave such rows out"
+    sides = [pairs[column].astype(str).to_numpy(dtype=np.str_) for column in columns[:2]]
+    names = np.stack(sides, axis=1)
+    if len(same := names[names[:, 0] == names[:, 1]]):
+        got = f"got '{same[0, 0]}' against itself; leave such rows out"
         raise ValueError(f"pairs must be of two items, {got}")
-    return names
+    return _read_wins(pairs, names, ties=ties, ordered=ordered)
 
 
-def _read_winners(pairs: DataFrame, names: Names, ties: str) -> tuple[Values, int]:
+def _read_wins(
+    pairs: DataFrame, names: Names, *, ties: str, ordered: bool
+) -> tuple[Names, Values, int]:
+    if "winner" not in pairs:
+        counts = pairs.iloc[:, 2:COUNTED]
+        try:
+            wins = counts.to_numpy(dtype=np.float64)
+        except (TypeError, ValueError):
+            got = f"got text in columns {' and '.join(map(str, counts))}"
+            raise ValueError(f"pairs must hold counts of wins, {got}") from None
+        if not (np.isfinite(wins) & (wins >= 0)).all():
+            got = "got a count of wins that is negative or not finite"
+            raise ValueError(f"pairs must hold counts of wins from 0, {got}")
+        return names, wins, 0
+    if "loser" in pairs:
+        if ordered:
+            known = "pairs that say which was presented first"
+            raise ValueError(f"order_effect needs {known}; leave it out")
+        sides = np.sort(names, axis=1)
+        return sides, (sides == names[:, :1]).astype(np.float64), 0
     named = pairs["winner"].astype(object).where(pairs["winner"].notna(), "tie")
     winner = named.astype(str).to_numpy(dtype=np.str_)
     wins = (names == winner[:, None]).astype(np.float64)
@@ -299,16 +300,4 @@ def _read_winners(pairs: DataFrame, names: Names, ties: str) -> tuple[Values, in
         how = "leave them out, or count them with ties='half'"
         raise ValueError(f"pairs must have a winner, got {int(undecided.sum())} ties; {how}")
     wins[undecided] = 0.5
-    return wins, int(undecided.sum())
-
-
-def _read_counts(columns: DataFrame) -> Values:
-    names = " and ".join(map(str, columns.columns))
-    try:
-        wins = columns.to_numpy(dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"pairs must hold counts of wins, got text in columns {names}") from None
-    if not (np.isfinite(wins) & (wins >= 0)).all():
-        got = "got a count of wins that is negative or not finite"
-        raise ValueError(f"pairs must hold counts of wins from 0, {got}")
-    return wins
+    return names, wins, int(undecided.sum())

@@ -1,17 +1,14 @@
 """How large must a study be? The closed form searches, simulated studies fitted by the primary model check.
 
 Every study has its own seed, of the seed given, the design and its place: any number of workers gives the same numbers.
-In a folder the results of a chunk of studies have the name of what they were computed from (design, truth, seed, places
-and code), so that an interrupted call is continued from there: a study of 16 people and 72 stimuli takes half a second.
+A study of 16 people and 72 stimuli takes half a second.
 """
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from hashlib import sha256
-from itertools import product
-from pathlib import Path
+from itertools import count, product
 from typing import Any
 
 import numpy as np
@@ -25,14 +22,12 @@ from feel321.analysis.primary.model import adjust_holm, fit_slopes
 from feel321.analysis.primary.plan import ITEM, RATING, REDUCER, SCENE, SOURCE, WHO, make_cells
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.analysis.words import ABSENT, format_count
-from feel321.files import make_folder, write_text
 from feel321.types import Samples
 
+# Sizes that are tried, as multiples of the given ones.
 FACTORS: Mapping[str, tuple[float, ...]] = {
     "participants": (0.5, 0.75, 1, 1.5, 2, 3), "recordings": (0.5, 1, 1.5, 2, 3), "reducers": (0.5, 1, 1.5),
 }  # fmt: skip
-"""Sizes that are tried, as multiples of the given ones."""
-
 REPEATS = (1, 2, 3, 4)
 CHUNK = 50  # Simulated studies of one job
 TRIED = 8  # Designs that are simulated in search of one that its simulation does not refute
@@ -71,22 +66,19 @@ class Power:
 def find_power(design: PowerDesign, simulate: Simulate | None = None) -> Power:
     """Find the power of a design, in closed form and, where something simulates, in simulated studies."""
     forms = {metric: ClosedForm(design, place) for place, metric in enumerate(design.metrics)}
-    notes = [f"Standard deviations: {design.truth.source}."]
-    if len(design.hypotheses) > 1:
-        first = f"{design.level:.3g}, the first step of Holm's method over {len(design.hypotheses)} tests"
-        notes.append(f"The closed form is at a level of {first}.")
-    if len(design.attributes) > 1:
-        apart = "independent of each other, although the same people rate them"
-        notes.append(f"Attributes are taken to be {apart}.")
-    if not design.is_own:
-        notes.append(
-            "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are "
-            "more than the set has, some are used more than once, with the same metrics."
-        )
-    if SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique:
-        lower = "what else they share is not simulated, so actual power is lower"
-        notes.append(f"Several recordings come from one source; {lower}.")
-    rows = []
+    shared = SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique
+    said = {
+        f"Standard deviations: {design.truth.source}.": True,
+        f"The closed form is at a level of {design.level:.3g}, the first step of Holm's method over "
+        f"{len(design.hypotheses)} tests.": len(design.hypotheses) > 1,
+        "Attributes are taken to be independent of each other, although the same people rate them.":
+            len(design.attributes) > 1,
+        "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are more "
+        "than the set has, some are used more than once, with the same metrics.": not design.is_own,
+        "Several recordings come from one source; what else they share is not simulated, so actual power is lower.":
+            shared,
+    }  # fmt: skip
+    rows, notes = [], [note for note, holds in said.items() if holds]
     for attribute, metric in design.hypotheses:
         form, slope = forms[metric], design.truth.find_slope(attribute, metric)
         rows.append({
@@ -264,9 +256,6 @@ def describe_units(recordings: int, reducers: int) -> str:
     return f"{format_count(recordings, 'recording')} × {format_count(reducers, 'reducer')}"
 
 
-# Simulated studies: ratings are drawn with the planted truth, and the primary model is fitted.
-
-
 def draw_ratings(design: PowerDesign, stimuli: Stimuli, rng: np.random.Generator) -> Samples:
     """Draw ratings with the planted slopes and spreads, (n_attributes, people, n_items, repeats)."""
     truth, (people_sds, scene_sds) = design.truth, design.slope_sds
@@ -300,69 +289,42 @@ def simulate_studies(
     *,
     studies: int,
     seed: int = 0,
-    workers: jobs.Workers = jobs.ALONE,
-    keep: Path | None = None,
+    workers: int | jobs.Workers = 1,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> Samples:
-    """Simulate studies, or take those that an earlier call kept: p of every test, (studies, n_hypotheses)."""
+    """Simulate studies: p of every test, (studies, n_hypotheses)."""
     listed = [design.items.to_csv(index=False), design.metrics, design.attributes, design.sizes]
     key = int(sha256(repr(listed).encode()).hexdigest()[:16], 16)
-    folders = [Path(__file__).parents[1] / name for name in ("mixed", "power", "primary")]
-    code = b"\n".join(path.read_bytes() for each in folders for path in sorted(each.glob("*.py")))
-    digest = sha256(f"{key} {asdict(design.truth)} {seed}".encode() + code).hexdigest()[:16]
-    if keep is not None:
-        make_folder(keep)
-    todo: list[jobs.Job] = []
-    for start in range(0, studies, CHUNK):
-        places = range(start, min(start + CHUNK, studies))
-        file = keep and keep / f"studies-{digest}-{places[0]:06d}-{places[-1]:06d}.json"
-        todo.append((_simulate_chunk, (design, [seed, key], places, file), {}))
-    found: dict[int, Samples] = {}
+    chunks = [range(start, min(start + CHUNK, studies)) for start in range(0, studies, CHUNK)]
+    todo: list[jobs.Job] = [(_fit_studies, (design, [seed, key], places), {}) for places in chunks]
+    steps = count(1)
     progress(0, len(todo))
-    for place, chunk in jobs.run_jobs(todo, workers=workers):
-        found[place] = chunk
-        progress(len(found), len(todo))
-    none = np.empty((0, len(design.hypotheses)))
-    return np.concatenate([none, *(found[place] for place in sorted(found))])
+    found = jobs.gather_results(
+        todo, workers=workers, done=lambda: progress(next(steps), len(todo))
+    )
+    return np.concatenate([np.empty((0, len(design.hypotheses))), *found])
 
 
-def _simulate_chunk(  # noqa: PLR0917 - a job, by place
-    design: PowerDesign, seed: list[int], places: range, file: Path | None
-) -> Samples:
-    """Simulate some studies, unless their results are kept whole."""
-    shape = len(places), len(design.hypotheses)
-    if file and file.is_file():
-        try:
-            kept = np.array(json.loads(file.read_text("utf-8")), np.float64)
-        except (TypeError, ValueError):  # damaged
-            kept = np.empty(0)
-        if kept.shape == shape:
-            return kept
-    with hold_threads(0):
-        found = [_fit_study(design, np.random.default_rng([*seed, one])) for one in places]
-    p = np.array(found, np.float64).reshape(shape)
-    if file:
-        write_text(file, json.dumps(p.tolist()))
-    return p
-
-
-def _fit_study(design: PowerDesign, rng: np.random.Generator) -> list[list[float]]:
-    """Draw a study and fit every attribute: p of every metric, NaN without a test; (n_attributes, n_metrics)."""
-    stimuli, metrics, found = design.draw(rng), design.metrics, []
-    ratings = draw_ratings(design, stimuli, rng)
-    who, item, _ = (axis.ravel() for axis in np.indices(ratings.shape[1:]))
-    table = pd.DataFrame({
-        WHO: who, SCENE: stimuli.scene[item], REDUCER: stimuli.kind[item], ITEM: item,
-        SOURCE: stimuli.source[item], **dict(zip(metrics, stimuli.metrics[item].T, strict=True)),
-    })  # fmt: skip
-    for own in ratings:
-        try:
-            cells = make_cells(table.assign(**{RATING: own.ravel()}), metrics)
-            slopes = fit_slopes(cells).table["p"].reindex(metrics).tolist()
-        except (ValueError, np.linalg.LinAlgError):  # all ratings alike, or too few units
-            slopes = [math.nan] * len(metrics)
-        found.append(slopes)
-    return found
+@hold_threads(0)
+def _fit_studies(design: PowerDesign, seed: list[int], places: range) -> Samples:
+    """Draw studies and fit every attribute: p of every test, NaN without one; (studies, n_hypotheses)."""
+    metrics, found = design.metrics, list[float]()
+    for place in places:
+        rng = np.random.default_rng([*seed, place])
+        stimuli = design.draw(rng)
+        drawn = draw_ratings(design, stimuli, rng)
+        who, item, _ = (axis.ravel() for axis in np.indices(drawn.shape[1:]))
+        table = pd.DataFrame({
+            WHO: who, SCENE: stimuli.scene[item], REDUCER: stimuli.kind[item], ITEM: item,
+            SOURCE: stimuli.source[item], **dict(zip(metrics, stimuli.metrics[item].T, strict=True)),
+        })  # fmt: skip
+        for ratings in drawn:
+            try:
+                cells = make_cells(table.assign(**{RATING: ratings.ravel()}), metrics)
+                found += fit_slopes(cells).table["p"].reindex(metrics).tolist()
+            except (ValueError, np.linalg.LinAlgError):  # all ratings alike, or too few units
+                found += [math.nan] * len(metrics)
+    return np.array(found, np.float64).reshape(len(places), len(design.hypotheses))
 
 
 def tabulate_shares(p: Samples) -> pd.DataFrame:

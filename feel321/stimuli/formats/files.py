@@ -17,7 +17,6 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,14 +24,24 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321 import intake
-from feel321.doors import check_rate
+from feel321.arguments import check_rate
+from feel321.files import (
+    LIMIT,
+    TooLargeError,
+    check_bytes,
+    clip,
+    open_regular,
+    read_bytes,
+    read_limit,
+    read_small,
+)
 from feel321.stimuli.formats import tables
 from feel321.stimuli.recording import AXES
 from feel321.stimuli.wav import read_wav, read_wav_header
 from feel321.types import Samples
 
 Arrays = Mapping[str, NDArray[Any]]
+Columns = Sequence[str | int] | None  # as `read_recording` takes them
 Value = TypeVar("Value", float, str)
 
 # Names of an array of all three axes; `tmp` is that of the LMT-69 tapping recordings.
@@ -40,30 +49,30 @@ ACCELERATION_KEYS = ("acceleration", "accel", "acc", "data", "tmp")
 CHILD_S = 300.0  # So long may a MATLAB file take to be read
 
 
-def read_npz(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+def read_npz(path: Path, wanted: Columns) -> tables.Decoded:
     """Read an NPZ archive by the names of its arrays."""
-    content = io.BytesIO(intake.read_bytes(path))
+    content = io.BytesIO(read_bytes(path))
     with tables.foreign_errors("an NPZ archive"):
         archive = np.load(content, allow_pickle=False)
         # What the directory promises; no more is read of any array.
-        intake.check_bytes(sum(one.file_size for one in archive.zip.infolist()), "its arrays")
+        check_bytes(sum(one.file_size for one in archive.zip.infolist()), "its arrays")
         arrays = {name: np.asarray(array) for name, array in archive.items()}
-    return _decode(arrays, request)
+    return _decode(arrays, wanted)
 
 
-def read_npy(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
+def read_npy(path: Path, _: None) -> tables.Decoded:
     """Read a single array."""
-    content = io.BytesIO(intake.read_bytes(path))
+    content = io.BytesIO(read_bytes(path))
     with tables.foreign_errors("an NPY array"):
         array = np.load(content, allow_pickle=False)
     return tables.Decoded(tables.as_three_axes(_as_numbers(array, "the array")))
 
 
-def read_mat(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+def read_mat(path: Path, wanted: Columns) -> tables.Decoded:
     """Read a MATLAB file of version 4 to 7 by the names of its variables."""
-    with intake.open_regular(path):
-        limit = intake.read_limit()
-    intake.check_bytes(path.stat().st_size, path.name)
+    with open_regular(path):
+        limit = read_limit()
+    check_bytes(path.stat().st_size, path.name)
     child = str(Path(__file__).with_name("matlab.py"))
     words = [sys.executable, "-P", child, os.path.abspath(path), str(limit)]  # noqa: PTH100 - links stay as they are
     one_thread = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each maps memory of its own
@@ -74,20 +83,20 @@ def read_mat(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
             raise ValueError(f"it takes longer than {CHILD_S:g} s") from None
         said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         if done.returncode and said.startswith("MemoryError"):
-            how = f"keep the recording alone, or set a larger {intake.LIMIT} in the environment"
-            raise intake.TooLargeError(f"its variables take more than {limit / 1e6:,.0f} MB; {how}")
+            how = f"keep the recording alone, or set a larger {LIMIT} in the environment"
+            raise TooLargeError(f"its variables take more than {limit / 1e6:,.0f} MB; {how}")
         if done.returncode:
-            raise ValueError(intake.clip(said, 200) or "it ends the program that reads it")
+            raise ValueError(clip(said, 200) or "it ends the program that reads it")
         with np.load(io.BytesIO(done.stdout), allow_pickle=False) as archive:
             arrays = dict(archive)
-    return _decode(arrays, request)
+    return _decode(arrays, wanted)
 
 
-def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
+def _decode(arrays: Arrays, wanted: Columns) -> tables.Decoded:
     """Find samples, rate, time and unit among named arrays."""
     columns = {name: array for name, array in arrays.items() if array.size != 1}
     names = tuple(columns)
-    place = _choose(names, request, found=", ".join(arrays) or "nothing")
+    place = _choose(names, wanted, found=", ".join(arrays) or "nothing")
     axes = [names[i] for i in place.axes]
     if len(axes) == 1:
         samples = tables.as_three_axes(_as_numbers(columns[axes[0]], repr(axes[0])))
@@ -112,10 +121,10 @@ def _decode(arrays: Arrays, request: tables.ReadingOptions) -> tables.Decoded:
     return tables.Decoded(samples, _agree(units), _agree(rates), time_s=time_s, time_step_s=step_s)
 
 
-def _choose(names: Sequence[str], request: tables.ReadingOptions, *, found: str) -> tables.Columns:
+def _choose(names: Sequence[str], wanted: Columns, *, found: str) -> tables.Columns:
     """Choose the arrays of samples and time: as asked for, else by their names."""
-    if request.columns is not None:
-        return tables.pick_columns(request.columns, labels=names, n_columns=len(names), whole=True)
+    if wanted is not None:
+        return tables.pick_columns(wanted, labels=names, n_columns=len(names), whole=True)
     bare = [tables.split_unit(name, tables.ACCELERATION_SPELLINGS)[0] for name in names]
     if not any(tables.AXIS.fullmatch(one) or one.casefold() in ACCELERATION_KEYS for one in bare):
         must = "an array must be named 'acceleration' (3, n), or three 'x', 'y' and 'z'"
@@ -142,7 +151,7 @@ def _as_numbers(array: NDArray[Any], what: str) -> Samples:
     """Convert real numbers to float64; refuse texts, objects and complex numbers."""
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{what} must be real numbers, got values of type {array.dtype}")
-    intake.check_bytes(8 * array.size, what)
+    check_bytes(8 * array.size, what)
     # What is not finite is refused where its place is known.
     with np.errstate(over="ignore", invalid="ignore"):
         return array.astype(np.float64)
@@ -151,7 +160,7 @@ def _as_numbers(array: NDArray[Any], what: str) -> Samples:
 FULL_SCALE_NOTE = "integer WAV without full_scale: full scale taken as 1.0 in the unit"
 
 
-def read_wav_recording(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+def read_wav_recording(path: Path, full_scale: float | None) -> tables.Decoded:
     """Read three channels of a WAV file, with what the JSON file of the same name says of them."""
     header, beside = read_wav_header(path), path.with_suffix(".json")
     said = _read_sidecar(beside) if beside.is_file() else {}
@@ -165,16 +174,16 @@ def read_wav_recording(path: Path, request: tables.ReadingOptions) -> tables.Dec
     if abs(rate_hz - header.rate_hz) > max(1.0, 0.001 * header.rate_hz):
         both = f"the header says {header.rate_hz} Hz and the sidecar {rate_hz:g} Hz"
         raise ValueError(f"{both}, which differ by more than 1 Hz or 0.1 %; correct the wrong one")
-    own, asked = said.get("full_scale"), request.full_scale
-    asked = None if asked is None else check_rate(asked, "full_scale", "")
+    own = said.get("full_scale")
+    asked = None if full_scale is None else check_rate(full_scale, "full_scale", "")
     if asked and own and asked != own:
         raise ValueError(f"full_scale={asked:g}, but the sidecar says {own:g}; leave one out")
-    full_scale = asked or own
-    if full_scale and header.is_float:
+    scale = asked or own
+    if scale and header.is_float:
         raise ValueError("full_scale is for integer samples, these are float; leave it out")
     samples, _ = read_wav(path)
-    acceleration = samples[[axes.index(axis) for axis in "xyz"]] * (full_scale or 1.0)
-    notes = () if full_scale or header.is_float else (FULL_SCALE_NOTE,)
+    acceleration = samples[[axes.index(axis) for axis in "xyz"]] * (scale or 1.0)
+    notes = () if scale or header.is_float else (FULL_SCALE_NOTE,)
     sources = (path, beside) if beside.is_file() else (path,)
     return tables.Decoded(acceleration, said.get("unit"), rate_hz, notes=notes, sources=sources)
 
@@ -197,29 +206,25 @@ ENTRIES: Mapping[str, tuple[Sequence[str], Callable[[Any], Any]]] = {
 
 def _read_sidecar(path: Path) -> dict[str, Any]:
     """Read what a sidecar says."""
+    keys = dict.fromkeys([*ENTRIES, *tables.UNIT_KEYS, *tables.RATE_KEYS])
+    found: dict[str, Any] = {}
     try:
-        text = intake.read_small(path)
+        text = read_small(path)
         with tables.foreign_errors("JSON"):
             entries: Any = json.loads(text)
-        return _parse_entries(entries)
+        is_table = isinstance(entries, dict)
+        if unknown := [key for key in entries if key not in keys] if is_table else [entries]:
+            got = ", ".join(clip(repr(one)) for one in unknown)
+            raise ValueError(f"entries must be {', '.join(keys)}, got {got}; correct or remove it")  # noqa: TRY301
+        for name, (spellings, parse) in ENTRIES.items():
+            present = [key for key in spellings if entries.get(key) is not None]
+            if len(present) > 1:
+                raise ValueError(f"{' and '.join(present)} mean the same; remove all but one")  # noqa: TRY301
+            if present:
+                found[name] = parse(entries[present[0]])
     except ValueError as error:
         said = str(error).removeprefix(f"{path.name}: ")
         raise ValueError(f"sidecar {path.name}: {said}") from None
-
-
-def _parse_entries(entries: Any) -> dict[str, Any]:  # noqa: ANN401 - whatever stands there
-    keys = [*dict.fromkeys([*ENTRIES, *tables.UNIT_KEYS, *tables.RATE_KEYS])]
-    is_table = isinstance(entries, dict)
-    if unknown := [key for key in entries if key not in keys] if is_table else [entries]:
-        got = ", ".join(intake.clip(repr(one)) for one in unknown)
-        raise ValueError(f"entries must be {', '.join(keys)}, got {got}; correct or remove it")
-    found = {}
-    for name, (spellings, parse) in ENTRIES.items():
-        present = [key for key in spellings if entries.get(key) is not None]
-        if len(present) > 1:
-            raise ValueError(f"{' and '.join(present)} mean the same; remove all but one")
-        if present:
-            found[name] = parse(entries[present[0]])
     return found
 
 
@@ -233,11 +238,11 @@ MOST_TAGS = 10_000
 LARGER = 8  # So many tags may an XML file hold, and so many times its text takes in memory
 
 
-def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
+def read_hatt(path: Path, _: None) -> tables.Decoded:
     """Read the three axes, the rate and the unit that an XML recording names."""
     from xml.etree import ElementTree as ET
 
-    content = intake.read_bytes(path, most=intake.read_limit() // LARGER)
+    content = read_bytes(path, most=read_limit() // LARGER)
     # Entities can expand without end or name other files; a recording needs neither.
     if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
         raise ValueError("the XML declares a document type or entities, which are not read")
@@ -257,9 +262,8 @@ def read_hatt(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
     if not axes and re.search(rf"\b{SENSOR}\b", " ".join(tags)):
         raise tables.refuse_reduced("a scalar Accel signal (the toolkit's DFT321 output)")
     if not axes:
-        got = ", ".join(list(tags)[:12]) or "none"
-        what = f"got tags {got}"
-        raise ValueError(f"the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, {what}")
+        got = f"got tags {', '.join(list(tags)[:12]) or 'none'}"
+        raise ValueError(f"the XML must hold AccelX, AccelY, AccelZ or Accel/X, Y, Z, {got}")
     units = {text for tag, found in tags.items() if UNIT.fullmatch(tag) for text in found}
     samples = tables.stack_axes({axis: _numbers(text, axis) for axis, text in axes.items()})
     unit = tables.parse_unit(_only(sorted(units), "units")) if units else None
@@ -286,30 +290,20 @@ def _only(texts: list[str], tag: str) -> str:
 def _numbers(text: str, axis: str) -> Samples:
     words = re.split(r"[\s,;]+", text.strip(" \t\r\n,;"))
     try:
-        values = np.array(words, dtype=np.float64)
+        return np.array(words, dtype=np.float64)
     except ValueError as error:
-        got = intake.clip(str(error), 120)
+        got = clip(str(error), 120)
         raise ValueError(f"a value of the {axis} axis is not a number ({got})") from None
-    if not (is_finite := np.isfinite(values)).all():
-        i = int(np.argmin(is_finite))
-        must = f"value {i} of the {axis} axis must be a finite number"
-        raise ValueError(f"{must}, got {intake.clip(words[i])!r}")
-    return values
 
 
-NAME = re.compile(r"(.+_(?:Movement|Tapping))_([XYZ])_((?:train|test)\d+)", re.IGNORECASE)
+LMT_NAME = re.compile(r"(.+_(?:Movement|Tapping))_([XYZ])_((?:train|test)\d+)\.txt", re.IGNORECASE)
 RATE_HZ = 10000.0
 RATE_NOTE = "LMT-108 files name no rate: taken as the documented 10000 Hz (rate_hz=... says otherwise)"  # fmt: skip
 
 
-def is_lmt(path: Path) -> bool:
-    """Whether, by its name, a file is one axis of a triple of the LMT-108 set."""
-    return path.suffix.lower() == ".txt" and NAME.fullmatch(path.stem) is not None
-
-
-def read_lmt(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
+def read_lmt(path: Path, rate_hz: float | None) -> tables.Decoded:
     """Read one axis of a triple and its two sisters beside it."""
-    head, axis, tail = NAME.fullmatch(path.stem).groups()  # type: ignore[union-attr]  # is_lmt
+    head, axis, tail = LMT_NAME.fullmatch(path.name).groups()  # type: ignore[union-attr]  # it has such a name
     letters = "XYZ" if axis.isupper() else "xyz"
     sisters = [path.with_name(f"{head}_{letter}_{tail}{path.suffix}") for letter in letters]
     if missing := [sister.name for sister in sisters if not sister.is_file()]:
@@ -322,15 +316,15 @@ def read_lmt(path: Path, request: tables.ReadingOptions) -> tables.Decoded:
             got = f"got {table.n_columns} columns"
             raise ValueError(f"{sister.name} must hold one value per line, {got}")
         axes[name] = tables.read_numbers(table, (0,)).ravel()
-    rate_hz, notes = (RATE_HZ, (RATE_NOTE,)) if request.rate_hz is None else (None, ())
-    about = tables.Decoded(tables.stack_axes(axes), rate_hz=rate_hz, notes=notes)
-    return replace(about, sources=tuple(sisters), name=f"{head}_{tail}")
+    own, notes = (RATE_HZ, (RATE_NOTE,)) if rate_hz is None else (None, ())
+    samples, name = tables.stack_axes(axes), f"{head}_{tail}"
+    return tables.Decoded(samples, rate_hz=own, notes=notes, sources=tuple(sisters), name=name)
 
 
 LOST_SAMPLE = 1.5  # periods: a longer interval has lost samples, a shorter one a coarse clock
 
 
-def read_ide(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
+def read_ide(path: Path, _: None) -> tables.Decoded:
     """Read the triaxial accelerometer with the highest rate."""
     try:
         from idelib import importer
@@ -338,23 +332,19 @@ def read_ide(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
         how = "install it from feel321's source folder: pip install -c constraints.txt '.[ide]'"
         raise ValueError(f"an enDAQ recording is read by idelib, which is missing; {how}") from None
     # In memory: idelib asks for as many bytes as the file promises, of a file they would be allocated.
-    stream = io.BytesIO(intake.read_bytes(path))
+    stream = io.BytesIO(read_bytes(path))
     stream.name = str(path)  # idelib asks for it
-    intake.check_bytes(4 * path.stat().st_size, "its samples")  # of two bytes each
+    check_bytes(4 * path.stat().st_size, "its samples")  # of two bytes each
     before = logging.root.manager.disable
     logging.disable()  # what is wrong with a file is raised anyway
     try:
         with tables.foreign_errors("an enDAQ recording"):
             dataset = importer.openFile(stream, quiet=True)
             importer.readData(dataset)
-            found = [
-                _read_channel(one, rows)
-                for one in dataset.channels.values()
-                if one.sessions and len(rows := _find_axes(one)) == AXES
-            ]
+            found = [_read_channel(one) for one in dataset.channels.values() if one.sessions]
     finally:
         logging.disable(before)
-    measured = [(samples, unit) for samples, unit in found if samples.shape[1] > 1]
+    measured = [one for one in found if one and one[0].shape[1] > 1]
     if not measured:
         raise ValueError("there must be an accelerometer with three axes and samples, got none")
     samples, unit = max(measured, key=lambda pair: _rate_hz(pair[0][0]))
@@ -364,27 +354,19 @@ def read_ide(path: Path, _: tables.ReadingOptions) -> tables.Decoded:
     return tables.Decoded(samples[1:], unit, time_s=time_s)
 
 
-def _read_channel(channel: Any, rows: Mapping[str, int]) -> tuple[Samples, str | None]:  # noqa: ANN401 - idelib is not typed
-    """Return time in s and the three axes, shape (4, n_samples), and their unit."""
+def _read_channel(channel: Any) -> tuple[Samples, str] | None:  # noqa: ANN401 - idelib is not typed
+    """Return time in s and the three axes of an accelerometer, shape (4, n_samples), and their unit."""
+    rows: dict[str, tuple[int, str]] = {}  # the recorder's order is not always x, y, z
+    for row, one in enumerate(channel.subchannels or ()):
+        label_and_unit = one.units or ("", "")
+        unit = tables.ACCELERATION_SPELLINGS.get(tables.normalise(str(label_and_unit[1])))
+        if unit and (match := re.search(r"\b([xyz])\b", str(one.name), re.IGNORECASE)):
+            rows[match[1].lower()] = row, unit
+    if len(rows) < AXES:
+        return None
     values = np.asarray(channel.getSession().arraySlice(), dtype=np.float64)
-    stacked = np.stack([values[0] * 1e-6, *(values[1 + rows[axis]] for axis in "xyz")])
-    return stacked, _unit(channel.subchannels[rows["x"]])
-
-
-def _find_axes(channel: Any) -> dict[str, int]:  # noqa: ANN401 - idelib is not typed
-    """Return the row of each axis: the recorder's order is not always x, y, z."""
-    rows: dict[str, int] = {}
-    for row, subchannel in enumerate(channel.subchannels or ()):
-        match = re.search(r"\b([xyz])\b", str(subchannel.name), re.IGNORECASE)
-        if match and _unit(subchannel):
-            rows[match[1].lower()] = row
-    return rows
-
-
-def _unit(subchannel: Any) -> str | None:  # noqa: ANN401 - idelib is not typed
-    """Return the unit of acceleration, or None for other quantities."""
-    label_and_unit = subchannel.units or ("", "")
-    return tables.ACCELERATION_SPELLINGS.get(tables.normalise(str(label_and_unit[1])))
+    stacked = np.stack([values[0] * 1e-6, *(values[1 + rows[axis][0]] for axis in "xyz")])
+    return stacked, rows["x"][1]
 
 
 def _rate_hz(time_s: Samples) -> float:

@@ -22,13 +22,9 @@ def main(path: str, limit: int) -> None:
     from scipy.io import loadmat
 
     warnings.filterwarnings("error", message="Duplicate variable")
-    found = {
-        name: value
-        for name, value in loadmat(path).items()
-        if not name.startswith("__")
-        and isinstance(value, np.ndarray)
-        and value.dtype.kind in "biufcU"
-    }
+    arrays = {name: one for name, one in loadmat(path).items() if isinstance(one, np.ndarray)}
+    plain = {name for name, one in arrays.items() if one.dtype.kind in "biufcU"}
+    found = {name: arrays[name] for name in plain if not name.startswith("__")}
     if (total := sum(array.nbytes for array in found.values())) > limit:
         raise MemoryError(f"its variables take {total / 1e6:,.0f} MB")
     np.savez(sys.stdout.buffer, allow_pickle=False, **found)

@@ -8,64 +8,65 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from feel321 import intake
-from feel321.doors import as_path, check_finite, check_rate
-from feel321.files import file_named
+from feel321.arguments import as_path, check_finite, check_rate
+from feel321.files import check_samples, file_named, open_regular, read_bytes
 from feel321.stimuli.formats import files
-from feel321.stimuli.formats.tables import Decoded, ReadingOptions, parse_unit, read_table
+from feel321.stimuli.formats.tables import Decoded, parse_unit, read_table
 from feel321.stimuli.recording import UNITS, Recording
 from feel321.types import PathLike, Samples
 
-MAGIC = {
-    b"RIFF": "wav", b"RIFX": "wav", b"RF64": "wav",
-    b"PK\x03\x04": "npz", b"PK\x05\x06": "npz", b"\x93NUMPY": "npy",
-    b"MATLAB 5.0": "mat", b"\x1aE\xdf\xa3": "ide",
+MAGIC: Mapping[str, tuple[bytes, ...]] = {
+    "wav": (b"RIFF", b"RIFX", b"RF64"), "npz": (b"PK\x03\x04", b"PK\x05\x06"), "npy": (b"\x93NUMPY",),
+    "ide": (b"\x1aE\xdf\xa3",),
 }  # fmt: skip
-"""First bytes and the format that they mean."""
+"""Format and the first bytes that mean it."""
 
-HDF5 = (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3")
-WIDE_TEXT = (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff")
+REFUSED = {
+    (b"\x89HDF\r\n\x1a\n", b"MATLAB 7.3"):
+        "MATLAB 7.3 and HDF5 files are not read; save it as an older MAT-file with save(..., '-v7')",
+    (b"\xff\xfe", b"\xfe\xff", b"\x00\x00\xfe\xff"):
+        "the text is in UTF-16 or UTF-32; save the file as UTF-8",
+}  # fmt: skip
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
-BINARY_SUFFIXES = (".wav", ".npz", ".npy", ".mat", ".ide")
-SUFFIXES = (*TABLE_SUFFIXES, ".xml", *BINARY_SUFFIXES)  # Every suffix that is read
+SUFFIXES = (
+    *TABLE_SUFFIXES,
+    ".xml",
+    ".wav",
+    ".npz",
+    ".npy",
+    ".mat",
+    ".ide",
+)  # every one that is read
 TEXT_CONTROLS = frozenset(b"\t\n\v\f\r")
 HEAD_BYTES = 4096
 
 
 def detect_format(path: Path) -> str:
     """Find a file's format."""
-    with intake.open_regular(path) as file:
+    with open_regular(path) as file:
         head = file.read(HEAD_BYTES)
     if not head:
         raise ValueError("the file is empty (0 bytes); copy or export it again")
-    if head.startswith(HDF5):
-        how = "save it as an older MAT-file with save(..., '-v7')"
-        raise ValueError(f"MATLAB 7.3 and HDF5 files are not read; {how}")
-    if head.startswith(WIDE_TEXT):
-        raise ValueError("the text is in UTF-16 or UTF-32; save the file as UTF-8")
-    name = next((name for magic, name in MAGIC.items() if head.startswith(magic)), "")
-    return name or _detect_text(path, head)
-
-
-def _detect_text(path: Path, head: bytes) -> str:
+    if why := next((why for starts, why in REFUSED.items() if head.startswith(starts)), ""):
+        raise ValueError(why)
     suffix = path.suffix.lower()
-    if not all(byte >= ord(" ") or byte in TEXT_CONTROLS for byte in head):
-        if suffix == ".mat":
-            return "mat"  # version 4 has no first bytes of its own
-        got = f"binary data of no known format ({suffix!r})"
-        raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got {got}")
-    if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
-        return "hatt"
-    if files.is_lmt(path):
-        return "lmt"
-    if suffix in TABLE_SUFFIXES:
-        return "table"
-    if suffix in SUFFIXES:
+    is_text = all(byte >= ord(" ") or byte in TEXT_CONTROLS for byte in head)
+    signs = {name: head.startswith(starts) for name, starts in MAGIC.items()} | {
+        "mat": head.startswith(b"MATLAB 5.0") or (suffix == ".mat" and not is_text),  # version 4
+        "hatt": is_text and head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"),
+        "lmt": is_text and files.LMT_NAME.fullmatch(path.name) is not None,
+        "table": is_text and suffix in TABLE_SUFFIXES,
+    }
+    if kind := next((kind for kind, is_so in signs.items() if is_so), ""):
+        return kind
+    if is_text and suffix in SUFFIXES:
         raise ValueError(f"a {suffix} file must not hold text; rename it to .csv if it is a table")
-    raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got the suffix {suffix!r}")
+    got = f"the suffix {suffix!r}" if is_text else f"binary data of no known format ({suffix!r})"
+    raise ValueError(f"the file must be one of {' '.join(SUFFIXES)}, got {got}")
 
 
 SATURATED_SAMPLES = 3  # So many equal samples in a row at an axis's extreme count as saturated
@@ -89,10 +90,9 @@ def inspect_samples(acceleration: Samples, rate_hz: float) -> tuple[str, ...]:
             if hit.any():  # sorting takes long
                 hit &= jump > 2 * np.diff(np.unique(value)).min()
             if hit.any():
-                runs = f"{hit.sum()} runs ({length[hit].sum()} samples)"
                 where = f"the first at {start[hit][0] / rate_hz:.6g} s"
                 at = f"axis {name}: saturated at {extreme:.6g} m/s^2"
-                findings.append(f"{at} in {runs}, {where}")
+                findings.append(f"{at} in {hit.sum()} runs ({length[hit].sum()} samples), {where}")
     return tuple(findings)
 
 
@@ -102,51 +102,47 @@ SPLINE_POINTS = 4  # A cubic spline needs as many samples
 
 
 def settle_sampling(
-    decoded: Decoded, request: ReadingOptions
+    decoded: Decoded, *, rate_hz: float | None, resample: bool
 ) -> tuple[Samples, float, tuple[str, ...]]:
     """Settle the rate, and check that the samples are regular, or make them so; samples, rate and notes."""
-    requested = None if request.rate_hz is None else check_rate(request.rate_hz)
+    requested = None if rate_hz is None else check_rate(rate_hz)
     stated, samples = _agree(requested, decoded.rate_hz, who="the file"), decoded.acceleration
     if decoded.time_s is None:
         if stated is None:
             raise ValueError("there is no sampling rate and no time column; give rate_hz=...")
         return samples, stated, ()
     time_s = _check_stamps(decoded, decoded.time_s)
-    finding = _find_jitter(time_s, decoded.time_step_s)
+    finding, step_s = _find_jitter(time_s, decoded.time_step_s), decoded.time_step_s
     if not finding:
         measured_hz = (time_s.size - 1) / float(time_s[-1] - time_s[0])
-        rate_hz = _agree(stated, measured_hz, who="the time stamps") or measured_hz
-        share = decoded.time_step_s * rate_hz
-        steps = f"{decoded.time_step_s:g} s, {share:.0%} of the period"
-        note = f"time stamps show steps of {steps}: finer jitter cannot be seen"
-        return samples, rate_hz, (note,) if share > JITTER_LIMIT else ()
-    if not request.resample:
+        rate = _agree(stated, measured_hz, who="the time stamps") or measured_hz
+        share = step_s * rate
+        note = f"time stamps show steps of {step_s:g} s, {share:.0%} of the period: finer jitter cannot be seen"
+        return samples, rate, (note,) if share > JITTER_LIMIT else ()
+    if not resample:
         must = f"sampling must be regular to {JITTER_LIMIT:.0%} of the period, got {finding}"
         how = "resample=True (command line: --resample) interpolates to an even rate"
         raise ValueError(f"{must}; {how}")
-    from scipy.interpolate import make_interp_spline
-
     if time_s.size < SPLINE_POINTS:
         raise ValueError(f"resampling needs {SPLINE_POINTS} samples or more, got {time_s.size}")
+    from scipy.interpolate import make_interp_spline
+
     elapsed = time_s - time_s[0]
     period = float(np.median(np.diff(time_s)))
     n_even = int(elapsed[-1] / period * (1 + 1e-12)) + 1
-    intake.check_samples(n_even, len(samples), 1 / period)
+    check_samples(n_even, len(samples), 1 / period)
     grid = np.minimum(np.arange(n_even) * period, elapsed[-1])
     even = make_interp_spline(elapsed, samples, k=3, axis=1)(grid)
-    rate_hz = 1 / period
-    _agree(stated, rate_hz, who="the time stamps")
-    made = f"{even.shape[1]} samples at {rate_hz:.6g} Hz by cubic spline"
-    return even, rate_hz, (f"resampled on request to {made}: {finding}",)
+    _agree(stated, 1 / period, who="the time stamps")
+    made = f"{n_even} samples at {1 / period:.6g} Hz by cubic spline"
+    return even, 1 / period, (f"resampled on request to {made}: {finding}",)
 
 
 def _agree(stated: float | None, own: float | None, *, who: str) -> float | None:
-    if stated is None or own is None:
-        return stated or own
-    if abs(stated / check_rate(own) - 1) > AGREEMENT:
+    if stated and own and abs(stated / check_rate(own) - 1) > AGREEMENT:
         most = f"they may differ by {AGREEMENT:.0%}"
         raise ValueError(f"the rate is {stated:g} Hz, but {own:g} Hz by {who}; {most}")
-    return stated
+    return stated or own
 
 
 def _check_stamps(decoded: Decoded, time_s: Samples) -> Samples:
@@ -178,14 +174,13 @@ def _find_jitter(time_s: Samples, step_s: float) -> str:
         return ""
     most = f"jitter up to {float(jitter.max()) / period:.1%} of the {period * 1e3:.6g} ms period"
     off = f"{irregular.size} of {intervals.size} intervals off"
-    first = f"the first at {time_s[irregular[0]]:.6f} s"
-    return f"{most}, {off}, {first}, the longest {intervals.max() * 1e3:.6g} ms"
+    return f"{most}, {off}, the first at {time_s[irregular[0]]:.6f} s, the longest {intervals.max() * 1e3:.6g} ms"
 
 
 NO_UNIT_NOTE = "the file names no unit of acceleration: taken as m/s^2; if it is another, name it (unit, --unit)"
 
 
-READERS: Mapping[str, Callable[[Path, ReadingOptions], Decoded]] = {
+READERS: Mapping[str, Callable[[Path, Any], Decoded]] = {
     "wav": files.read_wav_recording,
     "table": read_table,
     "npz": files.read_npz,
@@ -195,7 +190,7 @@ READERS: Mapping[str, Callable[[Path, ReadingOptions], Decoded]] = {
     "lmt": files.read_lmt,
     "ide": files.read_ide,
 }
-"""Format name -> reader, the only list of formats."""
+"""Format name -> reader, the only list of formats; it also takes the one option that the format has."""
 
 
 def read_recording(
@@ -250,34 +245,31 @@ def read_recording(
     Recording('tap', 3 samples at 1000 Hz, 0.003 s)
     """
     source = as_path(path)
-    request = ReadingOptions(rate_hz, unit, columns, full_scale, resample)
     with file_named(source):
-        decoded = _decode(source, request)
+        if source.is_dir():
+            raise IsADirectoryError("is a folder; name a recording file in it")
+        if not os.path.lexists(source):
+            raise FileNotFoundError(f"there is no such file in {source.parent}; check the name")
+        kind = detect_format(source)
+        if columns is not None and kind not in {"table", "npz", "mat"}:
+            raise ValueError(f"columns is for tables, NPZ and MAT, got a {kind} file; leave it out")
+        if full_scale is not None and kind != "wav":
+            raise ValueError(f"full_scale is for integer WAV, got a {kind} file; leave it out")
+        option = {"wav": full_scale, "lmt": rate_hz}.get(kind, columns)
+        decoded = READERS[kind](source, option)
         wanted, own = None if unit is None else parse_unit(unit), decoded.unit
         if own and wanted and own != wanted:
             raise ValueError(f"the file gives the unit {own!r}, but unit={unit!r}; leave unit out")
-        unit_found, unit_notes = own or wanted or "m/s^2", (NO_UNIT_NOTE,) * (not (own or wanted))
         # What is not finite is refused in the next line.
         with np.errstate(over="ignore", invalid="ignore"):
-            acceleration = decoded.acceleration * UNITS[unit_found]
+            acceleration = decoded.acceleration * UNITS[own or wanted or "m/s^2"]
         check_finite(acceleration, "acceleration")
-        samples, rate, notes = settle_sampling(replace(decoded, acceleration=acceleration), request)
-        found = inspect_samples(acceleration, rate)
+        decoded = replace(decoded, acceleration=acceleration)
+        samples, rate, notes = settle_sampling(decoded, rate_hz=rate_hz, resample=resample)
         digest = hashlib.sha256()
         for one in decoded.sources or (source,):
-            digest.update(intake.read_bytes(one))
-        name, told = decoded.name or source.stem, (*unit_notes, *decoded.notes, *notes, *found)
+            digest.update(read_bytes(one))
+        said = () if own or wanted else (NO_UNIT_NOTE,)
+        told = (*said, *decoded.notes, *notes, *inspect_samples(acceleration, rate))
+        name = decoded.name or source.stem
         return Recording(samples, rate, name=name, warnings=told, sha256=digest.hexdigest())
-
-
-def _decode(path: Path, request: ReadingOptions) -> Decoded:
-    if path.is_dir():
-        raise IsADirectoryError("is a folder; name a recording file in it")
-    if not os.path.lexists(path):
-        raise FileNotFoundError(f"there is no such file in {path.parent}; check the name")
-    kind = detect_format(path)
-    if request.columns is not None and kind not in {"table", "npz", "mat"}:
-        raise ValueError(f"columns is for tables, NPZ and MAT, got a {kind} file; leave it out")
-    if request.full_scale is not None and kind != "wav":
-        raise ValueError(f"full_scale is for integer WAV, got a {kind} file; leave it out")
-    return READERS[kind](path, request)

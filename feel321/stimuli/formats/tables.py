@@ -17,7 +17,15 @@ from pathlib import Path
 
 import numpy as np
 
-from feel321 import intake
+from feel321.files import (
+    TEXT_SHARE,
+    TooLargeError,
+    check_lines,
+    clip,
+    decode,
+    read_bytes,
+    read_limit,
+)
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.types import Samples
 
@@ -48,17 +56,6 @@ AXIS = re.compile(
 TIME = re.compile(r"t|time|times|time[\s_]?stamps?", re.IGNORECASE)
 
 
-@dataclass(frozen=True, slots=True)
-class ReadingOptions:
-    """Options of the caller; columns are (x, y, z) or (time, x, y, z), by name or number from 0."""
-
-    rate_hz: float | None = None
-    unit: str | None = None
-    columns: Sequence[str | int] | None = None
-    full_scale: float | None = None
-    resample: bool = False
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoded:
     """The content of a file; first_line is the line of a text file that holds the first sample, from 1."""
@@ -81,7 +78,7 @@ def foreign_errors(what: str) -> Iterator[None]:
         yield
     except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
         # The system's own; libraries raise theirs without a number.
-        if isinstance(error, intake.TooLargeError) or (isinstance(error, OSError) and error.errno):
+        if isinstance(error, TooLargeError) or (isinstance(error, OSError) and error.errno):
             raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         why = f"cannot be read as {what} ({reason}); it is damaged or of another kind"
@@ -156,16 +153,14 @@ def find_columns(labels: Sequence[str], *, wholes: Sequence[str] = ()) -> Column
     found: dict[str, list[int]] = {"x": [], "y": [], "z": [], "time": [], "whole": []}
     for i, label in enumerate(labels):
         name = split_unit(label, ACCELERATION_SPELLINGS)[0]
-        if name.casefold() in wholes:
-            found["whole"].append(i)
-        elif match := AXIS.fullmatch(name):
-            found[match[1].lower()].append(i)
-        elif TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0]):
-            found["time"].append(i)
+        is_time = TIME.fullmatch(split_unit(label, TIME_SPELLINGS)[0])
+        axis = AXIS.fullmatch(name)
+        kind = "whole" if name.casefold() in wholes else axis[1].lower() if axis else "time"
+        if axis or is_time or kind == "whole":
+            found[kind].append(i)
     axes = _check_found(found, labels)
-    for i in axes:
-        if unit := split_unit(labels[i], ACCELERATION_SPELLINGS)[1]:
-            parse_unit(unit)  # a bracket may say volts: only columns=... overrules it
+    for unit in filter(None, (split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes)):
+        parse_unit(unit)  # a bracket may say volts: only columns=... overrules it
     return _with_units(labels, axes, next(iter(found["time"]), None))
 
 
@@ -182,7 +177,7 @@ def _check_found(found: Mapping[str, list[int]], labels: Sequence[str]) -> tuple
             both = f"{what} ({', '.join(labels[i] for i in found[what])})"
             raise ValueError(f"several columns may be {both}; say which, columns=(time, x, y, z)")
     if not whole and len(axes) < AXES:
-        header = intake.clip(", ".join(labels), 200)
+        header = clip(", ".join(labels), 200)
         if len(labels) - len(found["time"]) == 1:
             raise refuse_reduced(f"a table with the columns {header}")
         present = ", ".join(axis for axis in "xyz" if found[axis])
@@ -193,15 +188,14 @@ def _check_found(found: Mapping[str, list[int]], labels: Sequence[str]) -> tuple
 
 
 def pick_columns(
-    wanted: Sequence[str | int],
-    *, labels: Sequence[str] | None, n_columns: int, whole: bool = False,
-) -> Columns:  # fmt: skip
+    wanted: Sequence[str | int], *, labels: Sequence[str], n_columns: int, whole: bool = False
+) -> Columns:
     """Take the columns that the caller names: (x, y, z) or (time, x, y, z), by label or by number from 0."""
     counts = {1, 2, AXES, AXES + 1} if whole else {AXES, AXES + 1}
     if isinstance(wanted, str) or not isinstance(wanted, Sequence) or len(wanted) not in counts:
         more = "(acceleration,), (time, acceleration), " if whole else ""
         raise ValueError(f"columns must be {more}(x, y, z) or (time, x, y, z), got {wanted!r}")
-    names = [label.strip().casefold() for label in labels or ()]
+    names = [label.strip().casefold() for label in labels]
     places: list[int] = []
     for column in wanted:
         name = str(column).strip().casefold()
@@ -210,7 +204,7 @@ def pick_columns(
         elif name.isdecimal() and int(name) < n_columns:  # the command line knows text only
             places.append(int(name))
         else:
-            known = f"{intake.clip(', '.join(labels), 200)}, or " if labels else ""
+            known = f"{clip(', '.join(labels), 200)}, or " if labels else ""
             must = f"{known}a number from 0 to {n_columns - 1}"
             raise ValueError(f"a column must be {must}, got {column!r}")
     if len(set(places)) < len(places):
@@ -221,7 +215,7 @@ def pick_columns(
 
 def _with_units(labels: Sequence[str], axes: tuple[int, ...], time: int | None) -> Columns:
     """Add the units that the labels of the chosen columns name."""
-    units = {split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes}
+    units = (split_unit(labels[i], ACCELERATION_SPELLINGS)[1] for i in axes)
     named = {ACCELERATION_SPELLINGS.get(unit or "") for unit in units}
     if len(named) > 1:
         header = ", ".join(labels[i] for i in axes)
@@ -246,16 +240,16 @@ class TextTable:
     first_line: int
     delimiter: str
     decimal: str
-    labels: tuple[str, ...] | None
+    labels: tuple[str, ...]
     n_columns: int
 
 
-def read_table(path: Path, request: ReadingOptions) -> Decoded:
-    """Read three columns of acceleration, and time if there is a column for it."""
+def read_table(path: Path, wanted: Sequence[str | int] | None) -> Decoded:
+    """Read three columns of acceleration, and time if there is a column for it; wanted: (time,) x, y, z, if given."""
     table = split_table(path)
     n_columns, first = table.n_columns, table.first_line
-    if request.columns is not None:
-        columns = pick_columns(request.columns, labels=table.labels, n_columns=n_columns)
+    if wanted is not None:
+        columns = pick_columns(wanted, labels=table.labels, n_columns=n_columns)
     elif table.labels:
         columns = find_columns(table.labels)
     elif n_columns == 1:
@@ -263,8 +257,7 @@ def read_table(path: Path, request: ReadingOptions) -> Decoded:
     elif n_columns < AXES:
         raise ValueError(f"there must be three axes x, y, z, got {n_columns} columns, no header")
     elif n_columns > AXES:
-        how = "columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
-        do = f"say which, e.g. {how}"
+        do = "say which, e.g. columns=(0, 1, 2, 3) for time, x, y, z or columns=(0, 1, 2) for x, y, z"
         raise ValueError(f"{n_columns} columns without a header are ambiguous; {do}")
     else:
         columns = Columns((0, 1, 2))
@@ -282,9 +275,9 @@ def read_table(path: Path, request: ReadingOptions) -> Decoded:
 
 def split_table(path: Path) -> TextTable:
     """Find the delimiter, the decimal sign, the header and the first row."""
-    content = intake.read_bytes(path, most=intake.read_limit() // intake.TEXT_SHARE)
-    intake.check_lines(content)
-    text = intake.decode(content, path.name).replace("\r\n", "\n").replace("\r", "\n")
+    content = read_bytes(path, most=read_limit() // TEXT_SHARE)
+    check_lines(content)
+    text = decode(content, path.name).replace("\r\n", "\n").replace("\r", "\n")
     head = text.rstrip().split("\n", HEAD_LINES)
     above: list[str] = []
     for i, line in enumerate(head[:HEAD_LINES]):
@@ -300,10 +293,8 @@ def split_table(path: Path) -> TextTable:
     raise ValueError(f"there is no row of numbers in the first {HEAD_LINES} lines; export it again")
 
 
-def _find_labels(
-    above: list[str], delimiter: str, *, n_columns: int, line: int
-) -> tuple[str, ...] | None:
-    """Find the names of the columns in the lines above the numbers."""
+def _find_labels(above: list[str], delimiter: str, *, n_columns: int, line: int) -> tuple[str, ...]:
+    """Find the names of the columns, if there are any, in the lines above the numbers."""
     if n_columns > MOST_COLUMNS:
         raise ValueError(f"a table must have at most {MOST_COLUMNS} columns, got {n_columns}")
     headers = [content for content in above if content[0] not in COMMENT_MARKS]
@@ -316,7 +307,7 @@ def _find_labels(
     if headers and len(labels[0]) != n_columns:
         got = f"got {len(labels[0])} names but {n_columns} cells on line {line}"
         raise ValueError(f"the header must name each cell, {got}")
-    return tuple(labels[0]) if labels and len(labels[0]) == n_columns else None
+    return tuple(labels[0]) if labels and len(labels[0]) == n_columns else ()
 
 
 def read_numbers(table: TextTable, columns: Sequence[int]) -> Samples:
@@ -325,21 +316,22 @@ def read_numbers(table: TextTable, columns: Sequence[int]) -> Samples:
 
     kinds = {i: np.float64 if i in columns else str for i in range(table.n_columns)}
     text, mark, sign = io.StringIO(table.text), table.delimiter, table.decimal
+    reason = "a number is not finite"
     try:
         frame = pd.read_csv(
             text, sep=mark, decimal=sign, header=None, dtype=kinds, skip_blank_lines=False
         )
-        values = frame[list(columns)].to_numpy().T
+        values = np.ascontiguousarray(frame[list(columns)].to_numpy().T, dtype=np.float64)
     except ValueError as error:
-        _refuse_fault(table, columns)
-        raise ValueError(f"cannot be read as numbers ({str(error).splitlines()[0]})") from None
+        values, reason = np.full(1, math.nan), str(error).splitlines()[0]
     if not np.isfinite(values).all():
         _refuse_fault(table, columns)
-    return np.ascontiguousarray(values, dtype=np.float64)
+        raise ValueError(f"cannot be read as numbers ({reason})")
+    return values
 
 
 def _refuse_fault(table: TextTable, columns: Sequence[int]) -> None:
-    """Find the first line that is wrong, and refuse it."""
+    """Refuse the first line that is wrong."""
     for line, row in enumerate(table.text.split("\n"), start=table.first_line):
         place = f"line {line}:"
         if not row.strip():
@@ -355,7 +347,7 @@ def _refuse_fault(table: TextTable, columns: Sequence[int]) -> None:
             number = _number(cells[i], table.decimal)
             if number is None or not math.isfinite(number):
                 column = f"column {i} {table.labels[i]!r}" if table.labels else f"column {i}"
-                got = f"got {intake.clip(cells[i])!r}; correct the row"
+                got = f"got {clip(cells[i])!r}; correct the row"
                 raise ValueError(f"{place} {column} must be a finite number, {got}")
 
 

@@ -21,7 +21,7 @@ from inspect import signature
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.doors import (
+from feel321.arguments import (
     Registry,
     check_finite,
     check_name,
@@ -30,8 +30,7 @@ from feel321.doors import (
     describe,
     name_of,
 )
-from feel321.jobs import Workers, as_workers, gather_results
-from feel321.names import REDUCER_NAMES
+from feel321.jobs import Workers, gather_results
 from feel321.stimuli.own_methods import find_reducer
 from feel321.stimuli.recording import (
     SAFE_PEAK,
@@ -43,7 +42,7 @@ from feel321.stimuli.recording import (
     largest,
 )
 from feel321.stimuli.reducers import axes, bands, fourier
-from feel321.types import Reducer, Samples
+from feel321.types import REDUCER_NAMES, Reducer, Samples
 
 _OURS = vars(axes) | vars(fourier) | vars(bands)
 
@@ -178,7 +177,7 @@ def reduce_many(
     how = {"function": with_window(REDUCERS.find(reducer), window_s), "together": is_ours}
     jobs = [(_reduce_alike, ([recordings[one] for one in piece],), how) for piece in pieces]
     found: dict[int, Reduced] = {}
-    for piece, rows in zip(pieces, gather_results(jobs, workers=as_workers(workers)), strict=True):
+    for piece, rows in zip(pieces, gather_results(jobs, workers=workers), strict=True):
         for place, row in zip(piece, rows, strict=True):
             one = recordings[place]
             found[place] = Reduced(row, one.rate_hz, name_of(reducer), one.name)

@@ -18,40 +18,26 @@ import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import count
+from functools import partial
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from feel321 import __version__
-from feel321.doors import as_path, describe, follow
-from feel321.files import (
-    digest_file,
-    hold_lock,
-    make_folder,
-    move_files,
-    sweep,
-    write_bytes,
-    write_text,
-)
-from feel321.jobs import Workers, as_workers, run_jobs
+from feel321 import __version__, files
+from feel321.arguments import as_path, describe, follow
+from feel321.jobs import Workers, gather_results
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.recording import Recording, largest
+from feel321.stimuli.sets import recipe as recipes
 from feel321.stimuli.sets import render
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
-from feel321.stimuli.sets.recipe import (
-    Recipe,
-    Unread,
-    check_names,
-    describe_recipe,
-    find_conditioning,
-    read_given,
-)
+from feel321.stimuli.sets.recipe import Recipe, Unread
 from feel321.stimuli.thresholds import sensation_level_db, to_db
 from feel321.stimuli.wav import encode_wav
-from feel321.types import PathLike, Progress, Samples
+from feel321.types import ANCHOR, WRITTEN, PathLike, Progress, Samples
 
 BUILT = "built.jsonl"
 PARTS = ".parts"
@@ -68,11 +54,8 @@ class Built:
     row: Stimulus
 
 
-History = Mapping[str, Sequence[Built]]  # what the last build remembers, by recording
-
-
-def read_history(folder: Path) -> History:
-    """Read what the last build remembers; it saves work and is never trusted further."""
+def read_history(folder: Path) -> Mapping[str, Sequence[Built]]:
+    """Read what the last build remembers, by recording; it saves work and is never trusted further."""
     from pydantic import TypeAdapter
 
     read_line = TypeAdapter(Built).validate_json
@@ -198,40 +181,46 @@ def build_set(
     move: Callable[[int, int], None],
 ) -> tuple[list[Facts], StimulusSet]:  # fmt: skip
     """Build a stimulus set as `build_stimuli` does; also gives the facts of the recordings."""
-    check_names([recording.name for recording in recordings])
-    folder, workers = as_path(folder, "folder"), as_workers(workers)
-    make_folder(folder)
+    recipes.check_names([recording.name for recording in recordings])
+    folder = as_path(folder, "folder")
+    files.make_folder(folder)
     busy = "another build is running here; let it finish or stop it first"
-    with hold_lock(folder / ".lock", busy=busy):
+    with files.hold_lock(folder / ".lock", busy=busy):
         for left in folder.glob(f"{PARTS}*"):
             shutil.rmtree(left, ignore_errors=True)
-        sweep(folder)
+        files.sweep(folder)
         # A process that was left over from a killed build does not know this name.
         parts = folder / f"{PARTS}-{secrets.token_hex(4)}"
-        make_folder(parts)
-        steps = count(1)
-        threads = 1 if recipe.methods else THREADS  # a lab's own code need not bear more
-
-        def run(work: Callable[..., Any], given: Iterable[tuple[Any, ...]]) -> list[Any]:
-            """Do the work for each recording, and return what it gave, in their order."""
-            found: dict[int, Any] = {}
-            jobs = ((work, one, {"recipe": recipe, "parts": parts}) for one in given)
-            for place, result in run_jobs(jobs, workers=workers, threads=threads):
-                found[place] = result
-                move(next(steps), 2 * len(recordings))
-            return [found[place] for place in sorted(found)]
-
+        files.make_folder(parts)
+        named: dict[str, Any] = {"recipe": recipe, "parts": parts}
+        steps, total = count(1), 2 * len(recordings)
+        run = partial(gather_results, workers=workers, done=lambda: move(next(steps), total))
+        # A lab's own code need not bear more than one thread.
+        run = partial(run, threads=1 if recipe.methods else THREADS)
         history = read_history(folder)
         known = [history.get(one.name, ()) for one in recordings]
-        facts: list[Facts] = run(survey_recording, zip(recordings, known, strict=True))
+        surveyed = zip(recordings, known, strict=True)
+        facts: list[Facts] = run((survey_recording, one, named) for one in surveyed)
         placed = place_surveyed(facts, recipe)
-        sources = list(zip(recordings, facts, strict=True))
-        orders = [placed[one.name] for one in facts]
-        written = run(_write_recording, zip(sources, orders, known, strict=True))
-        lines = [line for own in written for line in own]
+        sources = zip(recordings, facts, known, strict=True)
+        written = run(
+            (_write_recording, source, named | {"orders": placed[source[1].name]})
+            for source in sources
+        )
+        lines: list[Built] = [line for own in written for line in own]
+        rows, finished = [line.row for line in lines], sorted(parts.glob("*.wav"))
         stale = {one.row.file for own in history.values() for one in own}
-        details = _describe(facts, placed, recipe)
-        return facts, _publish(folder, parts, lines, stale=stale, details=details)
+        stale -= {row.file for row in rows}
+        if finished or stale:  # the set has no manifest meanwhile
+            (folder / "manifest.csv").unlink(missing_ok=True)
+        files.move_files({path: folder / path.name for path in finished})
+        for name in stale:
+            (folder / name).unlink(missing_ok=True)
+        remembered = (json.dumps(asdict(line), sort_keys=True) for line in lines)
+        files.write_text(folder / BUILT, "".join(f"{line}\n" for line in remembered))
+        stimuli = write_manifest(folder, rows, details=_describe(facts, placed, recipe))
+        shutil.rmtree(parts, ignore_errors=True)
+    return facts, stimuli
 
 
 def survey_recording(
@@ -239,7 +228,7 @@ def survey_recording(
 ) -> Facts:
     """Read a recording, and measure its stimuli at unit gain but for those that are known; parts: to keep them."""
     try:
-        recording = read_given(given)
+        recording = recipes.read_given(given)
     except (OSError, TypeError, ValueError) as error:
         return Facts(given.name, fault=f"recording {given.name!r}: {error}")
     drafts = render.list_drafts(recording, recipe)
@@ -261,63 +250,72 @@ def _part_path(parts: Path, draft: render.Draft) -> Path:
 
 
 def place_surveyed(surveyed: Sequence[Facts], recipe: Recipe) -> dict[str, list[Foreseen]]:
-    """Give stimuli their levels and gains, by recording; refuses with every recording that cannot be used."""
+    """Give stimuli their levels and gains, by recording; refuses with every recording that cannot be used.
+
+    What sets a common gain is the loudest stimulus that is no anchor; an anchor is weaker where it would not fit.
+    """
     if faults := [one.fault for one in surveyed if one.fault]:
         raise ValueError("\n".join(faults))
-    measured = {key: note for one in surveyed for key, note in one.measured.items()}
-    gains = render.choose_gains(measured, recipe, drafts={one.name: one.drafts for one in surveyed})
-    return {
-        own.name: [
-            Foreseen(**asdict(one), measured=measured[one.key], level=level, gain=gains[level, one.key])
-            for level in recipe.levels
-            for one in own.drafts
-        ]
-        for own in surveyed
-    }  # fmt: skip
-
-
-def find_copies(facts: Iterable[Facts]) -> list[str]:
-    """Name recordings whose files hold the same, bytes for bytes: people would judge one of them twice as often."""
-    names: defaultdict[str, list[str]] = defaultdict(list)
-    for one in facts:
-        names[one.sha256].append(one.name)
-    alike = [" and ".join(same) for sha256, same in names.items() if sha256 and len(same) > 1]
-    do = "leave one out, unless that is meant"
-    return [f"recordings {same} hold the same; {do}" for same in alike]
+    room, threshold = recipe.headroom * recipe.full_scale_m_s2, recipe.threshold
+    given = {name: one["gain"] for name, one in recipe.exceptions.items() if "gain" in one}
+    placed: dict[str, list[Foreseen]] = {one.name: [] for one in surveyed}
+    for level in recipe.levels:
+        is_equal = level != "as_is"
+        groups: defaultdict[tuple[str, float | str], list[Facts]] = defaultdict(list)
+        for one in surveyed:
+            gain = recipe.gain if is_equal else given.get(one.name, recipe.gain)
+            is_alone = recipe.gain == recipes.GAIN_PER_RECORDING or gain != recipe.gain
+            groups[one.name * is_alone, gain].append(one)
+        for (_, gain), group in groups.items():
+            # Each with the level over the threshold that is made equal, at unit gain; as it is, with none.
+            notes = [
+                (draft, note, note.levels[threshold] if is_equal else 1.0)
+                for own in group
+                for draft in own.drafts
+                for note in [own.measured[draft.key]]
+            ]
+            if silent := sum(strength == 0.0 for _, _, strength in notes):
+                why = f"{silent} stimuli are silent between 20 and 1000 Hz and cannot be made as strong"
+                raise ValueError(f"equal_intensity: {why}; leave out this level, or what is silent")
+            peaks = [note.peak / each for draft, note, each in notes if draft.role != ANCHOR]
+            loudest = max(peaks, default=0.0)
+            common = room / loudest if loudest else 1.0
+            common = common if is_equal or isinstance(gain, str) else gain
+            for draft, note, each in notes:
+                most = room / note.peak if draft.role == ANCHOR else math.inf
+                chosen = min(common / each, most)
+                made = Foreseen(**asdict(draft), measured=note, level=level, gain=chosen)
+                placed[draft.recording].append(made)
+    return placed
 
 
 def _write_recording(
-    source: tuple[Recording | Unread, Facts], orders: Sequence[Foreseen], known: Iterable[Built], *, recipe: Recipe,
-    parts: Path,
+    given: Recording | Unread, facts: Facts, known: Iterable[Built], *, orders: Sequence[Foreseen],
+    recipe: Recipe, parts: Path,
 ) -> list[Built]:  # fmt: skip
     """Write the files of one recording that are not there already; returns what is to be remembered of all."""
-    given, facts = source
     wanted = {(one.stimulus_id, one.key, one.gain) for one in orders}
     rows = {
         one.row.stimulus_id: one.row
         for one in known
         if (one.row.stimulus_id, one.key, one.row.gain) in wanted
         and (path := parts.parent / one.row.file).is_file()
-        and digest_file(path) == one.row.sha256
+        and files.digest_file(path) == one.row.sha256
     }
     lacking: defaultdict[str, list[Foreseen]] = defaultdict(list)
     for order in orders:
         if order.stimulus_id not in rows:
             lacking[order.key].append(order)
-
-    def write(key: str, samples: Samples) -> None:
+    kept = [key for key, (one, *_) in lacking.items() if _part_path(parts, one).is_file()]
+    missing = [one for key, (one, *_) in lacking.items() if key not in kept]  # rendered again
+    stored = ((key, np.load(_part_path(parts, lacking[key][0]))) for key in kept)
+    again = render.render_drafts(given, missing, recipe)
+    rendered = ((draft.key, samples.astype(np.float32)) for draft, samples, _ in again)
+    for key, samples in chain(stored, rendered):
         for order in lacking[key]:
-            rows[order.stimulus_id] = _write(order, samples, facts, recipe=recipe, parts=parts)
-
-    missing = []  # nothing was kept of them: they are rendered again
-    for key, (first, *_) in lacking.items():
-        if (path := _part_path(parts, first)).is_file():
-            write(key, np.load(path).astype(np.float64))
-            path.unlink()
-        else:
-            missing.append(first)
-    for draft, samples, _ in render.render_drafts(given, missing, recipe):
-        write(draft.key, samples.astype(np.float32).astype(np.float64))
+            own = _write(order, samples.astype(np.float64), facts, recipe=recipe, parts=parts)
+            rows[order.stimulus_id] = own
+        _part_path(parts, lacking[key][0]).unlink(missing_ok=True)
     return [Built(one.recording, one.key, one.measured, rows[one.stimulus_id]) for one in orders]
 
 
@@ -329,45 +327,23 @@ def _write(
     np.clip(samples, -1.0, 1.0, out=samples)
     content, n_samples = encode_wav(samples, recipe.rate_hz), int(samples.shape[-1])
     name = f"{order.stimulus_id}.wav"
-    write_bytes(parts / name, content)
+    files.write_bytes(parts / name, content)
     mean_square = np.einsum("...n,...n->...", samples, samples).sum() / n_samples
     sensation = order.sensation_levels_db[recipe.threshold]
     if clipped:
         played = samples * recipe.full_scale_m_s2
         sensation = sensation_level_db(played, recipe.rate_hz, threshold=recipe.threshold)
     measured = order.measured
+    matches: dict[str, Any] = {match: getattr(measured, match) for match in WRITTEN}
     return Stimulus(
         stimulus_id=order.stimulus_id, recording=order.recording, reducer=order.reducer, level=order.level,
         role=order.role, file=name, rate_hz=recipe.rate_hz, n_samples=n_samples, duration_s=n_samples / recipe.rate_hz,
         peak=largest(samples), rms_m_s2=float(np.sqrt(mean_square)) * recipe.full_scale_m_s2, gain=order.gain,
-        clipped=clipped, sha256=hashlib.sha256(content).hexdigest(), recording_sha256=facts.sha256,
-        spectral_match=measured.spectral_match, temporal_match=measured.temporal_match,
-        spectral_match_bounded=measured.spectral_match_bounded,
-        temporal_match_windowed=measured.temporal_match_windowed,
+        clipped=clipped, sha256=hashlib.sha256(content).hexdigest(), recording_sha256=facts.sha256, **matches,
         sensation_level_db=sensation if np.isfinite(sensation) else math.nan,
         band_high_hz=min(HIGHEST_HZ, facts.rate_hz / 2),
         metrics={k: math.nan if v is None else v for k, v in measured.metrics.items()},
     )  # fmt: skip
-
-
-def _publish(
-    folder: Path, parts: Path, lines: Sequence[Built],
-    *, stale: set[str], details: Mapping[str, Any],
-) -> StimulusSet:  # fmt: skip
-    """Move finished files into the set and remove what is no longer wanted, without a manifest meanwhile."""
-    rows = [line.row for line in lines]
-    stale = stale - {row.file for row in rows}
-    finished = sorted(parts.glob("*.wav"))
-    if finished or stale:
-        (folder / "manifest.csv").unlink(missing_ok=True)
-    move_files({path: folder / path.name for path in finished})
-    for name in stale:
-        (folder / name).unlink(missing_ok=True)
-    remembered = (json.dumps(asdict(line), sort_keys=True) for line in lines)
-    write_text(folder / BUILT, "".join(f"{line}\n" for line in remembered))
-    published = write_manifest(folder, rows, details=details)
-    shutil.rmtree(parts, ignore_errors=True)
-    return published
 
 
 def _describe(
@@ -379,11 +355,12 @@ def _describe(
         own = order.sensation_levels_db.items()
         levels[order.stimulus_id] = {name: v if np.isfinite(v) else None for name, v in own}
     return {
-        "recipe": describe_recipe(recipe),
+        "recipe": recipes.describe_recipe(recipe),
         **render.list_methods(recipe),
         "versions": {"feel321": __version__, **render.versions()},
         "conditioning": {
-            one.name: list_steps(find_conditioning(recipe, one.name), one.rate_hz) for one in facts
+            one.name: list_steps(recipes.find_conditioning(recipe, one.name), one.rate_hz)
+            for one in facts
         },
         "sensation_levels_db": levels,
     }

@@ -15,15 +15,13 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Any
 
-from feel321 import intake
-from feel321.doors import Registry, as_path
-from feel321.files import digest_file, list_csv, write_text
-from feel321.names import ANCHOR
+from feel321.arguments import Registry, as_path
+from feel321.files import digest_file, list_csv, open_text, read_bytes, word_fault, write_text
 from feel321.records import Result
-from feel321.stimuli.wav import read_wav
-from feel321.types import PathLike, Samples
+from feel321.stimuli.wav import read_wav, read_wav_header
+from feel321.types import ANCHOR, PathLike, Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -54,62 +52,57 @@ class Stimulus:
         Further metrics, each a column of its own; NaN where nothing could be compared.
     """
 
-    stimulus_id: Annotated[str, "name, unique in the set"]
-    recording: Annotated[str, "name"]
-    reducer: Annotated[
-        str, "name of a reducer, 'original' for the three-axis recording, or name of an anchor"
-    ]
-    level: Annotated[str, "name of the level arm"]
-    role: Annotated[str, "test, reference or anchor"]
-    file: Annotated[str, "path relative to the manifest"]
-    rate_hz: Annotated[float, "Hz"]
-    n_samples: Annotated[int, "samples per channel"]
-    duration_s: Annotated[float, "s"]
-    peak: Annotated[float, "largest magnitude in the file, 1 = full scale"]
-    rms_m_s2: Annotated[
-        float, "m/s^2, root mean square that the actuators are to give (of all channels together)"
-    ]
-    gain: Annotated[
-        float,
-        "m/s^2 played per m/s^2 recorded; per m/s^2 of an anchor that was made as strong as its recording (lower than "
-        "its recording's where it would not fit the headroom)",
-    ]
-    spectral_match: Annotated[
-        float,
-        "1 = identical energy spectra; conditioned recording and reduced signal, before level and rate",
-    ]
-    temporal_match: Annotated[
-        float, "1 = perfectly correlated with every axis (as for spectral_match)"
-    ]
-    clipped: Annotated[int, "samples limited at full scale"]
-    sha256: Annotated[str, "digest of the file"]
-    recording_sha256: Annotated[str, "digest of the recording's source"]
-    spectral_match_bounded: Annotated[
-        float,
-        "0 to 1, 1 = identical energy spectra; deviations relative to the stronger of the two",
-    ] = math.nan
-    sensation_level_db: Annotated[
-        float,
-        "dB over the detection threshold of the recipe, as it will be played, in its loudest 200 ms",
-    ] = math.nan
-    temporal_match_windowed: Annotated[
-        float, "as temporal_match, in windows of about 0.1 s, averaged by the recording's energy"
-    ] = math.nan
-    band_high_hz: Annotated[
-        float,
-        "Hz, upper edge of the band from 20 Hz in which the recording can be matched: 1000, or half its rate if lower",
-    ] = math.nan
+    stimulus_id: str
+    recording: str
+    reducer: str
+    level: str
+    role: str
+    file: str
+    rate_hz: float
+    n_samples: int
+    duration_s: float
+    peak: float
+    rms_m_s2: float
+    gain: float
+    spectral_match: float
+    temporal_match: float
+    clipped: int
+    sha256: str
+    recording_sha256: str
+    spectral_match_bounded: float = math.nan
+    sensation_level_db: float = math.nan
+    temporal_match_windowed: float = math.nan
+    band_high_hz: float = math.nan
     metrics: Mapping[str, float] = field(default_factory=dict)
 
 
-DETAILS = "manifest.json"
-
-COLUMN_UNITS: dict[str, str] = {
-    name: hint.__metadata__[0]
-    for name, hint in get_type_hints(Stimulus, include_extras=True).items()
-    if name != "metrics"
-}
+COLUMN_UNITS = {
+    "stimulus_id": "name, unique in the set",
+    "recording": "name",
+    "reducer": "name of a reducer, 'original' for the three-axis recording, or name of an anchor",
+    "level": "name of the level arm",
+    "role": "test, reference or anchor",
+    "file": "path relative to the manifest",
+    "rate_hz": "Hz",
+    "n_samples": "samples per channel",
+    "duration_s": "s",
+    "peak": "largest magnitude in the file, 1 = full scale",
+    "rms_m_s2": "m/s^2, root mean square that the actuators are to give (of all channels together)",
+    "gain": "m/s^2 played per m/s^2 recorded; per m/s^2 of an anchor that was made as strong as its recording (lower "
+            "than its recording's where it would not fit the headroom)",
+    "spectral_match": "1 = identical energy spectra; conditioned recording and reduced signal, before level and rate",
+    "temporal_match": "1 = perfectly correlated with every axis (as for spectral_match)",
+    "clipped": "samples limited at full scale",
+    "sha256": "digest of the file",
+    "recording_sha256": "digest of the recording's source",
+    "spectral_match_bounded": "0 to 1, 1 = identical energy spectra; deviations relative to the stronger of the two",
+    "sensation_level_db": "dB over the detection threshold of the recipe, as it will be played, in its loudest 200 ms",
+    "temporal_match_windowed": "as temporal_match, in windows of about 0.1 s, averaged by the recording's energy",
+    "band_high_hz": "Hz, upper edge of the band from 20 Hz in which the recording can be matched: 1000, or half its "
+                    "rate if lower",
+}  # fmt: skip
 COLUMNS = tuple(COLUMN_UNITS)
+DETAILS = "manifest.json"
 FURTHER = COLUMNS[COLUMNS.index("recording_sha256") + 1 :]  # their cells may be empty
 STRONG_GAIN = 100.0  # 40 dB: such a recording is mostly sensor noise, or its unit is wrong
 ROUNDING = 1e-9  # in an anchor's temporal match, which is 0; so may a silent test stimulus's be
@@ -145,9 +138,7 @@ class StimulusSet(Result):
         """Return the stimulus of an id, or of a place in the manifest's order."""
         if isinstance(stimulus_id, int):
             return self.stimuli[stimulus_id]
-        if (found := next((row for row in self if row.stimulus_id == stimulus_id), None)) is None:
-            found = Registry("stimulus_id", {row.stimulus_id: row for row in self})[stimulus_id]
-        return found
+        return Registry("stimulus_id", {row.stimulus_id: row for row in self})[stimulus_id]
 
     def __repr__(self) -> str:
         """Count the stimuli and say where they are."""
@@ -156,9 +147,8 @@ class StimulusSet(Result):
     @property
     def warnings(self) -> tuple[str, ...]:
         """One line for each recording that is played more than 40 dB stronger than it was recorded."""
-        return find_raised(
-            (row.recording, row.level, row.gain) for row in self if row.role != ANCHOR
-        )
+        felt = (row for row in self if row.role != ANCHOR)
+        return find_raised((row.recording, row.level, row.gain) for row in felt)
 
     def to_frame(self) -> DataFrame:
         """Return the manifest as a table.
@@ -254,9 +244,9 @@ def read_details(folder: Path) -> Details:
 
     path = folder / DETAILS
     try:
-        return TypeAdapter(Details).validate_json(intake.read_bytes(path))
+        return TypeAdapter(Details).validate_json(read_bytes(path))
     except (OSError, ValueError) as error:
-        reason = type(error).__name__ if isinstance(error, OSError) else intake.word_fault(error)
+        reason = type(error).__name__ if isinstance(error, OSError) else word_fault(error)
         do = "restore it from a copy, or, as long as no session was planned with this set, write it anew with"
         raise ValueError(f"{path}: is missing or damaged ({reason}); {do}: feel321 build") from None
 
@@ -301,16 +291,14 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
     sha256, line = digest_file(path), 1
     model, stimuli = TypeAdapter(Stimulus), list[Stimulus]()
     try:
-        with intake.open_text(path) as text:
+        with open_text(path) as text:
             for row in csv.DictReader(text, strict=True):
                 line += 1
                 stimuli.append(_read_row(row, model))
     except csv.Error as error:
         raise ValueError(f"{path}: not a CSV table ({error}); build the set again") from None
-    except UnicodeError:
-        raise
     except ValueError as error:
-        said = intake.word_fault(error).removeprefix(f"{path.name}: ")
+        said = word_fault(error).removeprefix(f"{path.name}: ")
         raise ValueError(f"{path}, line {line}: {said}; build the set again") from None
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")
@@ -368,14 +356,14 @@ def _check_file(stimulus: Stimulus, folder: Path) -> Iterator[str]:
         yield f"{name}: was changed after it was built (its SHA-256 differs); build the set again"
     else:
         if stimulus.clipped:
-            do = "lower the gain or raise full_scale_m_s2"
-            yield f"{name}: {stimulus.clipped} samples clipped; {do}"
+            yield f"{name}: {stimulus.clipped} samples clipped; lower the gain or raise full_scale_m_s2"
         try:
-            samples, rate = read_wav(path)
+            header = read_wav_header(path)
         except ValueError as error:
             yield str(error)
             return
-        if (n := samples.shape[-1]) != stimulus.n_samples or rate != stimulus.rate_hz:
+        n, rate = header.data_bytes // header.frame_bytes, header.rate_hz
+        if n != stimulus.n_samples or rate != stimulus.rate_hz:
             yield f"{name}: {n} samples at {rate} Hz, but the manifest says otherwise; build again"
 
 

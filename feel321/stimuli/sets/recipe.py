@@ -34,15 +34,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
-from feel321.doors import Registry, as_names, check_name, check_rate, describe
+from feel321.arguments import Registry, as_names, check_name, check_rate, describe
 from feel321.extensions import Method, find_method, is_given
-from feel321.names import ANCHOR_NAMES
 from feel321.stimuli.condition import Conditioning, Seconds, make_plain
 from feel321.stimuli.match import (
     HIGHEST_HZ,
@@ -57,7 +56,7 @@ from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.manifest import COLUMNS
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold, loudest_levels
-from feel321.types import Samples
+from feel321.types import ANCHOR_NAMES, Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,33 +92,48 @@ RIDGE, PASSES = 1e-14, 3
 MARGIN = 0.95  # of its recording's peaks, for those of a mid anchor: resampling adds to them
 
 
-def low_anchor(
-    recording: Recording, rng: np.random.Generator, *, threshold: str = CONTACTOR
+def make_anchor(
+    recording: Recording, rng: np.random.Generator, *, follows: bool, threshold: str = CONTACTOR
 ) -> Samples:
-    """Make a steady hum with the recording's energy, where the recording has least."""
-    del threshold  # its peaks cannot be made lower
-    return _with_energy_of(recording, _hum(recording, rng))
-
-
-def mid_anchor(
-    recording: Recording, rng: np.random.Generator, *, threshold: str = CONTACTOR
-) -> Samples:
-    """Make a hum as `low_anchor` does, with the recording's envelope.
+    """Make a hum with the recording's energy, where the recording has least; follows: with its envelope.
 
     That is the root of the three axes' energy, smoothed over half a period of the highest envelope frequency; RMS 1.
     """
     from scipy.ndimage import gaussian_filter1d
 
-    hum, axes = _hum(recording, rng), recording.acceleration
-    width = recording.rate_hz / (2 * np.pi * ENVELOPE_HZ)
-    energy = gaussian_filter1d(np.einsum("in,in->n", axes, axes), width, mode="nearest")
-    smooth = np.maximum(energy, 0.0)
-    envelope = np.asarray(np.sqrt(smooth / smooth.mean()))
-    return _with_energy_of(recording, hum * _flatten(envelope, hum, recording, threshold=threshold))
+    # Sinusoids at a constant amplitude whose frequency drifts: noise would have peaks, which cost level.
+    frequencies, bands = weigh_bands(recording)
+    time_s = np.arange(recording.n_samples) / recording.rate_hz
+    phases = rng.uniform(0, 2 * np.pi, len(frequencies))
+    # As wide as a uniform distribution over the band. What is drifted is time, so that all bands are as wide.
+    drift = WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
+    warped = time_s.copy()
+    rates, starts = 2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS)
+    for rate, phase in zip(rates, starts, strict=True):
+        warped += drift / rate * np.sin(rate * time_s + phase)
+    hum = np.zeros(recording.n_samples)
+    for one in np.flatnonzero(bands > LOWEST_SHARE):
+        hum += np.sqrt(bands[one]) * np.cos(2 * np.pi * frequencies[one] * warped + phases[one])
+    axes = recording.acceleration
+    if follows:
+        width = recording.rate_hz / (2 * np.pi * ENVELOPE_HZ)
+        energy = gaussian_filter1d(np.einsum("in,in->n", axes, axes), width, mode="nearest")
+        smooth = np.maximum(energy, 0.0)
+        envelope = np.asarray(np.sqrt(smooth / smooth.mean()))
+        hum = hum * _flatten(envelope, hum, recording, threshold=threshold)
+    # What correlates with an axis is removed, by the normal equations of three unknowns; the ridge leaves silent axes
+    # alone, and further passes remove its error.
+    norms = np.sqrt(np.einsum("in,in->i", axes, axes))[:, None]
+    alike = axes / np.where(norms > 0, norms, 1.0)
+    products = np.einsum("in,jn->ij", alike, alike) + RIDGE * np.eye(len(axes))
+    for _ in range(PASSES):
+        shares = np.linalg.solve(products, np.einsum("in,n->i", alike, hum))
+        hum = hum - np.einsum("i,in->n", shares, alike)
+    return np.asarray(hum * np.sqrt(np.sum(norms**2) / np.einsum("n,n->", hum, hum)))
 
 
 ANCHORS: Registry[Callable[..., Samples]] = Registry(
-    "anchor", dict(zip(ANCHOR_NAMES, (low_anchor, mid_anchor), strict=True))
+    "anchor", {name: partial(make_anchor, follows=name == "anchor_mid") for name in ANCHOR_NAMES}
 )
 """Name -> anchor, made from a conditioned recording; the names stand in the manifest's column `reducer`."""
 
@@ -146,90 +160,48 @@ def weigh_bands(recording: Recording) -> tuple[Samples, Samples]:
     inside &= frequencies * (1 + WEBER_FRACTION) <= min(HIGHEST_HZ, rate_hz / 2)
     lowest = acceleration_threshold(LOWEST_HZ)
     easily_felt = acceleration_threshold(frequencies) <= EASILY_FELT * lowest
-    shares = [_share(energy, inside), _share(energy, inside & easily_felt)]
+    shares: list[Samples] = []
+    for felt in (inside, inside & easily_felt):
+        allowed = felt if felt.any() else np.ones_like(felt)
+        ratio = np.minimum(energy[allowed].min() / energy, 1.0)
+        own = np.where(allowed, ratio**PRECEDENCE, 0.0)
+        shares.append(own / own.sum())
     return frequencies, FAINT * shares[0] + (1 - FAINT) * shares[1]
-
-
-def _share(energy: Samples, allowed: NDArray[np.bool_]) -> Samples:
-    allowed = allowed if allowed.any() else np.ones_like(allowed)
-    ratio = np.minimum(energy[allowed].min() / energy, 1.0)
-    shares = np.where(allowed, ratio**PRECEDENCE, 0.0)
-    return np.asarray(shares / shares.sum())
-
-
-def _hum(recording: Recording, rng: np.random.Generator) -> Samples:
-    """Sum sinusoids at a constant amplitude whose frequency drifts: noise would have peaks, which cost level."""
-    frequencies, shares = weigh_bands(recording)
-    time_s = np.arange(recording.n_samples) / recording.rate_hz
-    phases = rng.uniform(0, 2 * np.pi, len(frequencies))
-    # As wide as a uniform distribution over the band. What is drifted is time, so that all bands are as wide.
-    drift = WEBER_FRACTION / np.sqrt(12) * np.sqrt(2 / DRIFTS)
-    warped = time_s.copy()
-    rates, starts = 2 * np.pi * rng.uniform(*DRIFT_HZ, DRIFTS), rng.uniform(0, 2 * np.pi, DRIFTS)
-    for rate, phase in zip(rates, starts, strict=True):
-        warped += drift / rate * np.sin(rate * time_s + phase)
-    hum = np.zeros(recording.n_samples)
-    for one in np.flatnonzero(shares > LOWEST_SHARE):
-        hum += np.sqrt(shares[one]) * np.cos(2 * np.pi * frequencies[one] * warped + phases[one])
-    return hum
 
 
 def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold: str) -> Samples:
     """Flatten an envelope softly until the anchor has no higher peaks; at most its root mean square marks the knee."""
     from scipy.optimize import brentq
 
-    def measure(samples: Samples) -> tuple[float, float]:
-        return largest(samples), loudest_levels(samples, recording.rate_hz, [threshold])[threshold]
+    def find_crest(samples: Samples) -> float:
+        levels = loudest_levels(samples, recording.rate_hz, [threshold])
+        return largest(samples) / levels[threshold]
 
     def flatten(much: float) -> Samples:
         return np.asarray(envelope / np.sqrt(1 + much * envelope**2))
 
     def exceed(much: float) -> float:
-        peak, level = measure(hum * flatten(much))
-        return peak / level - MARGIN * allowed
+        return find_crest(hum * flatten(much)) - MARGIN * allowed
 
-    peak, level = measure(recording.acceleration)
-    allowed = peak / level
+    allowed = find_crest(recording.acceleration)
     if exceed(0.0) <= 0:
         return envelope
     return flatten(1.0 if exceed(1.0) >= 0 else brentq(exceed, 0.0, 1.0, xtol=1e-15))
 
 
-def _with_energy_of(recording: Recording, hum: Samples) -> Samples:
-    """Remove what correlates with an axis, and scale the hum to the recording's energy."""
-    axes = recording.acceleration
-    norms = np.sqrt(np.einsum("in,in->i", axes, axes))[:, None]
-    alike = axes / np.where(norms > 0, norms, 1.0)
-    # The normal equations of three unknowns; the ridge leaves silent axes alone, and further passes remove its error.
-    products = np.einsum("in,jn->ij", alike, alike) + RIDGE * np.eye(len(axes))
-    for _ in range(PASSES):
-        shares = np.linalg.solve(products, np.einsum("in,n->i", alike, hum))
-        hum = hum - np.einsum("i,in->n", shares, alike)
-    return np.asarray(hum * np.sqrt(np.sum(norms**2) / np.einsum("n,n->", hum, hum)))
-
-
 LEVELS = ("as_is", "equal_intensity")
-"""Level arms: one physical gain, so that lost energy is felt as loss; or every stimulus brought to the same sensation
-level, so that a rating cannot be one of strength."""
 
 ORIGINAL, NO_REFERENCE = "original", "none"  # the recording itself, on three channels
 
 ONE_GAIN, GAIN_PER_RECORDING = GAINS = ("set", "per_recording")
-"""Automatic gains: one for the whole set, so that recordings differ in strength as they did when recorded; or one for
-each recording with its reductions and reference, so that no spike of one recording weakens the others."""
 
-RIG_RATES_HZ = LOWEST_RATE_HZ, HIGHEST_RATE_HZ = (
-    2000,
-    384_000,
-)  # 1000 Hz can be played, and sound devices run
+LOWEST_RATE_HZ, HIGHEST_RATE_HZ = (2000, 384_000)  # 1000 Hz can be played, and sound devices run
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
-
-# The settings of a recipe are records of their own: `settings/meanings.toml` says what each is.
 
 
 @dataclass(frozen=True)
 class RigSettings:
-    """What stimuli are rendered for; `[rig]` of study.toml."""
+    """What stimuli are rendered for; `[rig]` of study.toml. `settings/meanings.toml` says what each is."""
 
     rate_hz: Annotated[float, Interval(ge=LOWEST_RATE_HZ, le=HIGHEST_RATE_HZ)] = 48000.0
     full_scale_m_s2: Annotated[float, Interval(gt=0, le=1e6)] = 100.0
@@ -316,8 +288,9 @@ class Recipe(StimulusSettings, RigSettings):
             got = f"got {always[0]!r}, which every set has; leave it out"
             raise ValueError(f"metrics must name further ones, {got}")
         if not isinstance(self.conditioning, Conditioning):
-            got = describe(self.conditioning)
-            raise TypeError(f"conditioning must be a Conditioning, got {got}")
+            raise TypeError(
+                f"conditioning must be a Conditioning, got {describe(self.conditioning)}"
+            )
         check_name(self.threshold, THRESHOLDS, "threshold")
         self._check_numbers()
 
@@ -352,14 +325,16 @@ class Recipe(StimulusSettings, RigSettings):
 
     def _check_numbers(self) -> None:
         check_rate(self.full_scale_m_s2, "full_scale_m_s2", " of m/s^2")
-        low, high = RIG_RATES_HZ
+        low, high = LOWEST_RATE_HZ, HIGHEST_RATE_HZ
         is_rate = check_rate(self.rate_hz) == int(self.rate_hz) and low <= self.rate_hz <= high
         is_number = not isinstance(self.gain, str | bool) and 0 < self.gain < float("inf")
-        gains = "a finite number above 0, 'set' or 'per_recording'"
         rules = {
             "rate_hz": (is_rate, f"a whole number of Hz from {low} to {high}"),
             "headroom": (0 < self.headroom <= 1, "above 0 and at most 1 (full scale)"),
-            "gain": (is_number or self.gain in GAINS, gains),
+            "gain": (
+                is_number or self.gain in GAINS,
+                "a finite number above 0, 'set' or 'per_recording'",
+            ),
             "fade_s": (0 <= self.fade_s < float("inf"), "0 s or more"),
         }
         for name, (is_right, must) in rules.items():
@@ -384,10 +359,9 @@ def find_conditioning(recipe: Recipe, recording: str) -> Conditioning:
 def describe_recipe(recipe: Recipe) -> dict[str, Any]:
     """Return what `manifest.json` records of a recipe, but for the lab's own methods."""
     own = {one.name: getattr(recipe, one.name) for one in fields(recipe) if one.name != "methods"}
-    for name in ("metrics", "exceptions"):  # named where there are any
-        if not own[name]:
-            del own[name]
-    return own | {"conditioning": asdict(recipe.conditioning)}
+    empty = {name for name in ("metrics", "exceptions") if not own[name]}
+    own["conditioning"] = asdict(recipe.conditioning)
+    return {name: value for name, value in own.items() if name not in empty}
 
 
 def check_names(names: Sequence[str]) -> None:
@@ -398,8 +372,7 @@ def check_names(names: Sequence[str]) -> None:
     for name in names:
         if not _NAME.fullmatch(name):
             must = "up to 100 letters (A-Z), digits, '.', '_' and '-', beginning with a letter or digit"
-            got = f"got {name!r}, give it another name"
-            raise ValueError(f"a recording's name must be {must}; {got}")
+            raise ValueError(f"a recording's name must be {must}; got {name!r}, rename it")
         # Some file systems do not distinguish capitals from small letters.
         if name.casefold() in seen:
             raise ValueError(f"recording name {name!r} is there twice; rename one of them")

@@ -9,35 +9,31 @@ import io
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, fields, replace
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import fft
 
+from feel321.arguments import follow
 from feel321.files import make_folder, write_bytes
+from feel321.stimuli.sets.manifest import read_stimuli
+from feel321.study.actuator import certificate as certificates
 from feel321.study.actuator import response
-from feel321.study.actuator.certificate import (
-    FOLDER,
-    MEASURED,
-    Certificate,
-    CoilCertificate,
-    begin_certificate,
-    read_certificate,
-)
+from feel321.study.actuator import rig as rigs
+from feel321.study.actuator.certificate import FOLDER, MEASURED, Certificate, CoilCertificate
 from feel321.study.actuator.output import Bench, OnStep, open_bench
-from feel321.study.actuator.rig import (
-    MARGIN,
-    ActuatorTable,
-    Rig,
-    digest,
-    find_allowed,
-    require_sensor,
-)
+from feel321.study.actuator.render import find_directions, find_rig_problems
+from feel321.study.actuator.response import Response, Sweep
+from feel321.study.actuator.rig import ActuatorTable, Rig
+from feel321.study.folder import OpenStudy, Outcome, StudyFolder, UsageError
+from feel321.study.settings.read import read_settings
+from feel321.study.terminal import ask, echo, format_facts, is_answerable
 from feel321.types import Samples
 
 PROBE = 0.1  # of the level that limits allow: the first sweep of a coil
@@ -53,15 +49,13 @@ KEPT = timedelta(days=1)  # for so long a coil need not be measured again
 Coils = Mapping[str, CoilCertificate]
 
 
-def make_sweeps(
-    rig: Rig, *, rate_hz: float, peak: float = 1.0
-) -> tuple[response.Sweep, response.Sweep]:
+def make_sweeps(rig: Rig, *, rate_hz: float, peak: float) -> tuple[Sweep, Sweep]:
     """Make the sweep that is the measurement, and the shorter one before it."""
-    own = rig.calibration
-    main = response.Sweep(
+    own, longest_s = rig.calibration, rigs.MARGIN * rig.limits.duration_s
+    main = Sweep(
         rate_hz=rate_hz,
         band_hz=own.band_hz,
-        duration_s=min(own.sweep_s, MARGIN * rig.limits.duration_s),
+        duration_s=min(own.sweep_s, longest_s),
         pause_s=own.pause_s,
         n_repeats=own.repeats,
         peak=peak,
@@ -69,22 +63,8 @@ def make_sweeps(
     return main, replace(main, duration_s=max(main.duration_s / 2, 1.0), n_repeats=2)
 
 
-def find_safe(rig: Rig, probe: response.Response) -> float:
-    """Find the peak of a sweep, as a part of full scale, whose motion is within the limits and the sensor's scale."""
-    low_hz, high_hz = probe.band_hz[0] / response.BELOW, probe.band_hz[1] * response.ABOVE
-    log_hz = np.log(np.maximum(probe.frequency_hz, response.TINY))
-    # A resonance may lie where the sweep rises to its peak, or falls.
-    ramps = response.make_ramps(
-        (log_hz - math.log(low_hz)) / math.log(response.BELOW),
-        (math.log(high_hz) - log_hz) / math.log(response.ABOVE),
-    )
-    limits = [rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2]
-    allowed = min(*limits, require_sensor(rig).full_scale_m_s2)
-    return MARGIN * allowed / float((np.abs(probe.response) * ramps).max())
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CoilRun(response.Response):
+class CoilRun(Response):
     """What was measured of one coil; repeats_db: between equal sweeps; noise_m_s2: RMS while nothing plays."""
 
     levels: Samples
@@ -96,28 +76,26 @@ class CoilRun(response.Response):
 
 def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, made: str) -> CoilRun:
     """Play sweeps of rising level on one coil."""
-    rig, rate_hz = bench.rig, bench.rate_hz
-    level = rig.calibration.level * find_allowed(rig, actuator)
+    rig, rate_hz, levels = bench.rig, bench.rate_hz, (*LADDER, 1.0)
+    level = rig.calibration.level * rigs.find_allowed(rig, actuator)
 
-    def sweep(one: response.Sweep) -> tuple[response.Response, Samples]:
+    def sweep(one: Sweep) -> tuple[Response, Samples]:
         recorded = bench.play_sweep(response.make_sweep(one), one, actuator.channel)
         return response.measure_sweep(one, recorded), recorded
 
-    probe, _ = sweep(make_sweeps(rig, rate_hz=rate_hz, peak=PROBE * level)[1])
-    _check_alive(rig, probe)
-    top = min(level, find_safe(rig, probe))
-    levels = [share * top for share in LADDER]
-    ladder = [sweep(make_sweeps(rig, rate_hz=rate_hz, peak=one)[1])[0] for one in levels]
-    loud, _ = make_sweeps(rig, rate_hz=rate_hz, peak=top)
+    loud, quiet = make_sweeps(rig, rate_hz=rate_hz, peak=PROBE * level)
+    probe, _ = sweep(quiet)
+    top = min(level, _find_safe(rig, probe))
+    loud, steps = replace(loud, peak=top), [replace(quiet, peak=one * top) for one in LADDER]
+    ladder = [sweep(step)[0] for step in steps]
     main, recorded = sweep(loud)
     in_band_hz = probe.frequency_hz[probe.inside]
-
-    def compare_db(one: response.Response) -> float:
-        """Compare a response with that of the quietest step, by third octaves."""
+    linearity_db = []
+    for one in (*ladder, main):  # by third octaves, over the quietest step
         size = np.interp(in_band_hz, one.frequency_hz, np.abs(one.response))
         ratio_db = response.DB * np.log(size / np.abs(ladder[0].response[probe.inside]))
-        return float(np.median(response.average_thirds(ratio_db, in_band_hz, band_hz=loud.band_hz)))
-
+        thirds_db = response.average_thirds(ratio_db, in_band_hz, band_hz=loud.band_hz)
+        linearity_db.append(float(np.median(thirds_db)))
     along = (main.direction @ recorded).reshape(loud.n_repeats, loud.period)
     energy = np.abs(fft.rfft(along)) ** 2
     at_hz = fft.rfftfreq(loud.period, 1 / rate_hz)
@@ -126,15 +104,16 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
     names = ("frequency_hz", "response", "coherence", "distortion")
     return CoilRun(
         **asdict(main) | {name: getattr(main, name)[kept] for name in names},
-        levels=np.array([*levels, top]),
-        linearity_db=np.array([compare_db(one) for one in (*ladder, main)]),
+        levels=top * np.array(levels),
+        linearity_db=np.array(linearity_db),
         repeats_db=float(np.median(repeated_db.std(axis=0, ddof=1))),
         noise_m_s2=noise_m_s2,
         made=made,
     )
 
 
-def _check_alive(rig: Rig, probe: response.Response) -> None:
+def _find_safe(rig: Rig, probe: Response) -> float:
+    """Find the peak of a sweep, over full scale, that moves the coil within the limits and the sensor's scale."""
     coherence = float(np.median(probe.coherence[probe.inside]))
     latency_s = probe.latency / probe.rate_hz
     if coherence < response.ALIVE:
@@ -147,18 +126,27 @@ def _check_alive(rig: Rig, probe: response.Response) -> None:
             f"pause_s under [calibration] must exceed the latency of {1e3 * latency_s:.0f} ms, got "
             f"{rig.calibration.pause_s:g}; raise it"
         )
+    low_hz, high_hz = probe.band_hz[0] / response.BELOW, probe.band_hz[1] * response.ABOVE
+    log_hz = np.log(np.maximum(probe.frequency_hz, response.TINY))
+    # A resonance may lie where the sweep rises to its peak, or falls.
+    ramps = response.make_ramps(
+        (log_hz - math.log(low_hz)) / math.log(response.BELOW),
+        (math.log(high_hz) - log_hz) / math.log(response.ABOVE),
+    )
+    limits = (rig.limits.peak_m_s2, math.sqrt(2) * rig.limits.rms_m_s2)
+    allowed = min(*limits, rigs.require_sensor(rig).full_scale_m_s2)
+    return rigs.MARGIN * allowed / float((np.abs(probe.response) * ramps).max())
 
 
-def propose_band(rig: Rig, seen: response.Response) -> tuple[response.Band, float]:
+def propose_band(rig: Rig, seen: Response) -> tuple[response.Band, float]:
     """Propose the band of a coil and the gain of its filter in dB: as in rig.toml, or what coil and noise allow."""
-    own = rig.calibration
+    own, size = rig.calibration, np.abs(seen.response)
     if own.max_gain_db is not None:
         return own.band_hz, own.max_gain_db
     inside = response.find_inside(seen.frequency_hz, band_hz=own.band_hz)
-    size = np.abs(seen.response)
-    middle = float(np.median(size[inside]))
+    needed_db = response.DB * np.log(np.median(size[inside]) / np.maximum(size, 1e-12))
     is_good = inside & (seen.coherence >= own.min_coherence)
-    is_good &= response.DB * np.log(middle / np.maximum(size, 1e-12)) <= MOST_GAIN_DB - SPARE_DB
+    is_good &= needed_db <= MOST_GAIN_DB - SPARE_DB
     if not is_good.any():
         return own.band_hz, MOST_GAIN_DB
     # The longest stretch without a frequency that would need too much, or that noise hides.
@@ -168,9 +156,9 @@ def propose_band(rig: Rig, seen: response.Response) -> tuple[response.Band, floa
     first, last = seen.frequency_hz[inside][[0, -1]]
     low = own.band_hz[0] if low == first else float(low)
     high = own.band_hz[1] if high == last else float(high)
-    inside = response.find_inside(seen.frequency_hz, band_hz=(low, high))
-    needed_db = response.DB * math.log(float(np.median(size[inside]) / size[inside].min()))
-    return (low, high), min(needed_db + SPARE_DB, MOST_GAIN_DB)
+    size = size[response.find_inside(seen.frequency_hz, band_hz=(low, high))]
+    most_db = response.DB * math.log(float(np.median(size) / size.min()))
+    return (low, high), min(most_db + SPARE_DB, MOST_GAIN_DB)
 
 
 def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertificate:
@@ -190,10 +178,6 @@ def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertific
     known = np.isfinite(distortion)
     low, high = own.band_hz
     grid_hz = np.arange(low / response.BELOW, high * response.ABOVE, STEP_HZ, dtype=np.float64)
-    on_grid = {
-        name: np.interp(grid_hz, run.frequency_hz, getattr(run, name))
-        for name in ("response", "coherence", "distortion")
-    }
     coil = CoilCertificate(
         name=actuator.name,
         channel=actuator.channel,
@@ -210,23 +194,22 @@ def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertific
         ),
         direction=run.direction,
         frequency_hz=grid_hz,
+        response=np.interp(grid_hz, run.frequency_hz, run.response),
+        coherence=np.interp(grid_hz, run.frequency_hz, run.coherence),
+        distortion=np.interp(grid_hz, run.frequency_hz, run.distortion),
         equalised=np.full(len(grid_hz), np.nan, dtype=np.complex128),
         levels=run.levels,
         linearity_db=run.linearity_db,
-        **on_grid,
         **asdict(inverse),
     )
     flat = run.response * coil.find_filter(run.frequency_hz, rate_hz=run.rate_hz)
-    return judge_filter(rig, coil, run=run, after=replace(run, response=flat))
+    unknown = np.full_like(run.coherence, np.nan)
+    after = replace(run, response=flat, coherence=unknown)
+    return judge_filter(rig, coil, run=run, after=after)
 
 
 def judge_filter(
-    rig: Rig,
-    coil: CoilCertificate,
-    *,
-    run: CoilRun,
-    after: response.Response,
-    is_measured: bool = False,
+    rig: Rig, coil: CoilCertificate, *, run: CoilRun, after: Response
 ) -> CoilCertificate:
     """Compare the response with a filter, measured or calculated, with its target; and add up the uncertainties."""
     off_db = after.find_deviation_db(target=coil.target, band_hz=coil.band_hz)
@@ -248,7 +231,7 @@ def judge_filter(
         coil,
         largest_db=float(np.abs(off_db[worst])),
         worst_hz=float(after.frequency_hz[inside][worst]),
-        least_coherence_after=float(after.coherence[inside].min()) if is_measured else math.nan,
+        least_coherence_after=float(after.coherence[inside].min()),
         equalised=np.interp(coil.frequency_hz, after.frequency_hz, after.response),
         budget=budget,
         uncertainty_db=math.hypot(*budget.values()),
@@ -261,29 +244,31 @@ def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertif
     sweep, _ = make_sweeps(rig, rate_hz=bench.rate_hz, peak=top)
     asked = response.make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
-    scale = min(top / np.abs(filtered).max(), MARGIN * rig.limits.peak_m_s2 / coil.target / top)
+    most = rigs.MARGIN * rig.limits.peak_m_s2 / coil.target / top
+    scale = min(top / np.abs(filtered).max(), most)
     recorded = bench.play_sweep(scale * filtered, sweep, coil.channel)
     after = response.measure_sweep(sweep, recorded, sent=scale * asked)
-    return judge_filter(rig, coil, run=run, after=after, is_measured=True)
+    return judge_filter(rig, coil, run=run, after=after)
 
 
 def measure_latencies(bench: Bench, coils: Coils) -> dict[str, CoilCertificate]:
     """Measure the latencies of all coils in one recording: a device that ran dry goes on with another latency."""
-    _, quiet = make_sweeps(bench.rig, rate_hz=bench.rate_hz)
+    _, quiet = make_sweeps(bench.rig, rate_hz=bench.rate_hz, peak=1.0)
     turn, n_coils, once = quiet.period, len(coils), response.make_sweep(quiet)[: quiet.period]
-    n = turn * quiet.n_repeats * n_coils
-    sounds = {coil.channel: np.zeros(n) for coil in coils.values()}
+    sounds = {}
     for number, coil in enumerate(coils.values()):  # one coil after another, again and again
-        sounds[coil.channel].reshape(-1, n_coils, turn)[:, number] = float(coil.levels[1]) * once
+        turns = np.zeros((quiet.n_repeats, n_coils, turn))
+        turns[:, number] = float(coil.levels[1]) * once
+        sounds[coil.channel] = turns.ravel()
 
     def cut(recorded: Samples) -> list[Samples]:
         turns = recorded.reshape(len(recorded), -1, n_coils, turn)
         return [turns[:, :, number].reshape(len(recorded), -1) for number in range(n_coils)]
 
-    recorded = bench.insist(
-        lambda: bench.play(sounds, n=n),
-        lambda found: max(response.find_slip(one, quiet) for one in cut(found)),
-    )
+    def find_slip(recorded: Samples) -> int:
+        return max(response.find_slip(one, quiet) for one in cut(recorded))
+
+    recorded = bench.insist(sounds, find_slip)
     found = {}
     for (name, coil), own in zip(coils.items(), cut(recorded), strict=True):
         sweep = replace(quiet, peak=float(coil.levels[1]))
@@ -322,20 +307,19 @@ def name_run(folder: Path, rig: Rig, actuator: ActuatorTable) -> Path:
     """Name the file of a coil's measurements: another rig, or another scale of the sensor, has others."""
     scale = rig.sensor.model_dump_json() if rig.sensor else ""
     sensor = hashlib.sha256(scale.encode()).hexdigest()
-    return folder / FOLDER / "sweeps" / f"{digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"
+    name = f"{rigs.digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"
+    return folder / FOLDER / "sweeps" / name
 
 
 def read_run(path: Path) -> CoilRun | None:
     """Read what was measured of a coil; None where nothing there can be used."""
-    try:
+    broken = (OSError, TypeError, EOFError, KeyError, RuntimeError, ValueError)
+    with suppress(*broken, zipfile.BadZipFile, zlib.error):
         with np.load(path, allow_pickle=False) as stored:
             known = {name: one if one.ndim else one.item() for name, one in stored.items()}
         datetime.fromisoformat(known["made"])
         return CoilRun(**known | {"band_hz": tuple(known["band_hz"])})
-    except (OSError, TypeError, EOFError, KeyError, RuntimeError, ValueError):
-        return None
-    except (zipfile.BadZipFile, zlib.error):
-        return None
+    return None
 
 
 @dataclass(slots=True, kw_only=True)
@@ -351,21 +335,20 @@ class Calibration:
 
     def run(self) -> Certificate:
         """Measure the coils, make their filters, and verify them by playing through them."""
-        rig, rate_hz = self.rig, self.rate_hz
-        require_sensor(rig)
-        main, quiet = make_sweeps(rig, rate_hz=rate_hz)
+        rig, rate_hz, runs = self.rig, self.rate_hz, self.find_runs(within=KEPT)
+        rigs.require_sensor(rig)
+        main, quiet = make_sweeps(rig, rate_hz=rate_hz, peak=1.0)
         n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
         n_coils, n_silent = len(rig.actuators), round(SILENCE_S * rate_hz)
-        runs = self.find_runs(within=KEPT)
         n_all = n_coils * (n_main + n_quiet) + n_silent
         n_all += (n_coils - len(runs)) * (n_main + (1 + len(LADDER)) * n_quiet)
         show = {"total_s": n_all / rate_hz, "on_step": self.on_step}
         n_longest = max(n_main, n_coils * n_quiet)
         with open_bench(rig, rate_hz=rate_hz, n_longest=n_longest, **show) as bench:
             noise_m_s2 = float(np.linalg.norm(bench.play({}, n=n_silent).std(axis=1)))
+            made = self.made.isoformat()
             for actuator in (one for one in rig.actuators if one.name not in runs):
                 with _named(actuator.name):
-                    made = self.made.isoformat()
                     run = measure_coil(bench, actuator, noise_m_s2=noise_m_s2, made=made)
                 path, buffer = name_run(self.folder, rig, actuator), io.BytesIO()
                 known: dict[str, Any] = {one.name: getattr(run, one.name) for one in fields(run)}
@@ -388,7 +371,7 @@ class Calibration:
                 f"no sweeps of {', '.join(map(repr, missing))} on this rig are stored; run feel321 calibrate"
             )
         coils, last = self.design(runs), self._find_last()
-        known = None if last is None else read_certificate(last)
+        known = None if last is None else certificates.read_certificate(last)
         if known is not None and known.method == MEASURED:  # where all were in one recording
             for name, coil in coils.items():
                 coils[name] = replace(coil, latency=known.coils[name].latency)
@@ -398,21 +381,21 @@ class Calibration:
         return replace(self._certify(coils), expires_utc=expires.isoformat(timespec="seconds"))
 
     def _find_last(self) -> Path | None:
-        return max((self.folder / FOLDER).glob(f"*-{digest(self.rig)[:8]}.json"), default=None)
+        return max((self.folder / FOLDER).glob(f"*-{rigs.digest(self.rig)[:8]}.json"), default=None)
 
     def find_runs(self, *, within: timedelta | None = None) -> dict[str, CoilRun]:
         """Find what was measured of the coils on this rig; within: so recently, and since its last certificate."""
-        last, found = self._find_last(), {}
+        last, runs = self._find_last(), dict[str, CoilRun]()
         for actuator in self.rig.actuators:
             run = read_run(name_run(self.folder, self.rig, actuator))
-            own = (self.rate_hz, self.rig.calibration.band_hz)
-            if run is None or (run.rate_hz, run.band_hz) != own:
+            band_hz = self.rig.calibration.band_hz
+            if run is None or (run.rate_hz, run.band_hz) != (self.rate_hz, band_hz):
                 continue
             made = datetime.fromisoformat(run.made)
             is_open = last is None or f"{made:%Y%m%dT%H%M%SZ}" > last.name
             if within is None or (is_open and self.made - made < within):
-                found[actuator.name] = run
-        return found
+                runs[actuator.name] = run
+        return runs
 
     def design(self, runs: Mapping[str, CoilRun]) -> dict[str, CoilCertificate]:
         """Make the filters of all coils, and let them be agreed to."""
@@ -425,7 +408,7 @@ class Calibration:
         return coils
 
     def _certify(self, coils: Coils) -> Certificate:
-        found = begin_certificate(
+        found = certificates.begin_certificate(
             self.rig, coils, method=MEASURED, made=self.made, rate_hz=self.rate_hz
         )
         failures = (line for coil in coils.values() for line in find_failures(self.rig, coil))
@@ -439,3 +422,107 @@ def _named(coil: str) -> Iterator[None]:
         yield
     except ValueError as error:
         raise ValueError(f"coil {coil!r}: {error}; the coils before it are kept") from None
+
+
+# The verb.
+
+ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "fir"}
+"""Fields of a coil's certificate that are too long to print."""
+
+
+def calibrate_rig(
+    lab: OpenStudy, *, device: str | None, manual: Sequence[str], redesign: bool
+) -> Outcome:
+    """Measure the coils, or take typed gains, and store a certificate."""
+    folder = lab.folder
+    rig, own = rigs.read_rig(folder.rig), folder.settings
+    rate_hz = read_settings(own).rig.rate_hz if own.is_file() else rigs.RATE_HZ
+    rig = rigs.take_device(rig, device) if device else rig
+    if manual:
+        typed, directions = dict(map(_read_gain, manual)), find_directions(rig)[0]
+        made = certificates.make_manual(
+            rig, typed, directions=directions, made=lab.now(), rate_hz=rate_hz
+        )
+    else:
+        made = _measure(lab, rig, rate_hz=rate_hz, redesign=redesign)
+    certificate = certificates.write_certificate(made, folder.path)
+    certificates.draw_certificate(certificate, folder.path / FOLDER / certificate.id)
+    passed = not certificate.failures
+    facts = asdict(certificate) | {"passed": passed}
+    for coil in facts["coils"].values():
+        for name in ARRAYS & coil.keys():
+            del coil[name]
+    for failure in certificate.failures:
+        lab.say(failure)
+    verdict = (
+        f"{'passed' if passed else 'did not pass'}; valid until {certificate.expires_utc[:10]}"
+    )
+    line = f"certificate {certificate.id} ({certificate.method}): {verdict}"
+    return Outcome(facts, [line, *format_facts(facts["coils"])], failed=not passed)
+
+
+def _read_gain(text: str) -> tuple[str, float]:
+    name, _, gain = text.rpartition("=")
+    try:
+        return name.strip(), float(gain)
+    except ValueError:
+        example = "'left coil=12.5'"
+        raise UsageError(f"--manual must be NAME=GAIN, such as {example}, got {text!r}") from None
+
+
+def _measure(lab: OpenStudy, rig: Rig, *, rate_hz: float, redesign: bool) -> Certificate:
+    consent = partial(agree, lab.folder, rig)
+    own = Calibration(
+        rig=rig, rate_hz=rate_hz, made=lab.now(), folder=lab.folder.path, agree=consent
+    )
+    if redesign:
+        return own.redesign()
+    if rig.device.name == rigs.FILE_DEVICE:
+        raise ValueError(
+            'rig.toml plays to files, which no sensor measures; name a device there or with --device ("simulated" '
+            "needs no hardware), or type gains with --manual"
+        )
+    if kept := own.find_runs(within=KEPT):
+        echo(f"kept, as they were measured a while ago: {', '.join(kept)}", err=True)
+    with follow(lab.progress, "s of sweeps") as own.on_step:
+        return own.run()
+
+
+def agree(folder: StudyFolder, rig: Rig, proposed: Certificate) -> bool:
+    """Show what is proposed for each coil and what it costs in level; ask, where somebody is there."""
+    for coil in proposed.coils.values():
+        low, high = coil.band_hz
+        least = coil.target * 10 ** (-coil.gain_db / 20)
+        echo(
+            f"{coil.name}: flat from {low:.0f} to {high:.0f} Hz within {coil.largest_db:.1f} dB by a gain of up to "
+            f"{coil.gain_db:.0f} dB; so it plays up to {coil.target:.3g} m/s², and {least:.2g} where it is weakest",
+            err=True,
+        )
+    for line in _find_cost(folder, rig, proposed):
+        echo(line, err=True)
+    if not is_answerable():
+        return True
+    asked = "Enter takes it; n stops: --redesign tries another max_gain_db of [calibration]."
+    return not ask(asked).startswith("n")
+
+
+def _find_cost(folder: StudyFolder, rig: Rig, proposed: Certificate) -> Iterator[str]:
+    """Say how much of full scale the study's stimuli take through the filters, and how weak the weakest then is."""
+    if not (folder.stimuli.is_dir() and folder.settings.is_file()):
+        yield "the study has no stimuli yet; build them, and calibrate --redesign says how strong they come"
+        return
+    stimuli, settings = read_stimuli(folder.stimuli), read_settings(folder.settings)
+    _, sounds = find_rig_problems(rig, stimuli, settings, certificate=proposed)
+    peaks = {name: float(abs(sound).max()) for name, sound in sounds.items()}
+    strongest = max(peaks, key=peaks.__getitem__)
+    headroom_db = -20 * math.log10(max(peaks[strongest], 1e-9))
+    said = f"headroom {headroom_db:.1f} dB"
+    if headroom_db < 0:
+        said = f"{-headroom_db:.1f} dB too much: lower gain or headroom in study.toml by that, and build again"
+    yield f"strongest stimulus {strongest}: {peaks[strongest]:.0%} of full scale, {said}"
+    levels = {one.stimulus_id: one.sensation_level_db for one in stimuli}
+    felt = {name: level for name, level in levels.items() if math.isfinite(level)}
+    if felt:
+        weakest = min(felt, key=felt.__getitem__)
+        left_db = felt[weakest] + min(headroom_db, 0.0)
+        yield f"weakest stimulus {weakest}: {left_db:.1f} dB over the threshold of feeling"

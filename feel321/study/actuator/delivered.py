@@ -28,7 +28,7 @@ from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets.manifest import StimulusSet
 from feel321.stimuli.sets.recipe import Recipe
-from feel321.stimuli.sets.render import Reduction, reduce_again
+from feel321.stimuli.sets.render import Rendering
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.faults import Diagnosis
 from feel321.study.actuator.mixer import Frames
@@ -127,20 +127,24 @@ def _limit(samples: Samples, rate_hz: float, *, band_hz: Band) -> Samples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Baseline:
-    """A reduction to compare with: its recording's spectrum comes with it; gain: m/s² asked per m/s² of it."""
+    """A stimulus to compare with: what it was made of, its conditioned recording, and that one's spectrum.
 
-    reduction: Reduction
+    samples: the reduction, (n,), or the recording itself, (3, n), in m/s²; gain: m/s² asked per m/s² of them.
+    """
+
+    recording: Recording
     spectrum: OriginalSpectrum
+    samples: Samples
     gain: float
 
     def match(self, error: Samples, *, rate_hz: float) -> dict[str, float]:
         """Match the reduced signal with the rig's error, shape (axes, n), on it."""
-        original, rate = self.reduction.acceleration, self.reduction.rate_hz
-        shape = self.reduction.samples.shape
+        original, rate = self.recording.acceleration, self.recording.rate_hz
+        shape = self.samples.shape
         at_rate = _cut(resample(error, rate_hz, to_hz=rate) / self.gain, shape[-1])
         band_hz = (LOWEST_HZ * (1 - REACH), HIGHEST_HZ * (1 + REACH))
         own = _limit(at_rate, rate, band_hz=band_hz).reshape(shape)
-        one = delivered = self.reduction.samples + own
+        one = delivered = self.samples + own
         if delivered.ndim == 1:
             correlations = axis_correlations(original, delivered)
         else:
@@ -163,12 +167,12 @@ def reduce_stimuli(
     for recording in recordings:
         source = (recording.name, recording.sha256)
         own = [one for one in stimuli if (one.recording, one.recording_sha256) == source]
-        made = reduce_again(recording, {one.reducer for one in own}, recipe)
-        spectrum: OriginalSpectrum | None = None
+        made = Rendering(recording, recipe)
+        played = {name: made.play(name) for name in {one.reducer for one in own}}
         for one in own:
-            reduction = made[one.reducer]
-            spectrum = spectrum or OriginalSpectrum(reduction.acceleration, reduction.rate_hz)
-            found[one.stimulus_id] = Baseline(reduction, spectrum, one.gain * reduction.factor)
+            samples, _, factor = played[one.reducer]
+            gain = one.gain * factor
+            found[one.stimulus_id] = Baseline(made.recording, made.spectrum, samples, gain)
     return found
 
 

@@ -1,31 +1,26 @@
-"""What a rig plays on: PortAudio's devices, simulated voice coils, WAV files; and ports for triggers.
+"""What a rig plays on: PortAudio's devices, simulated voice coils, WAV files.
 
-Only this module knows sounddevice and PsychoPy's ports. All times are the sink's own, in s.
+Only this module knows sounddevice. All times are the sink's own, in s.
 """
 
 import os
+import pathlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from math import ceil, inf, nan
 from threading import Event, Thread
-from time import perf_counter, sleep
+from time import perf_counter
 from types import ModuleType
 from typing import Any
 
 import numpy as np
 from scipy import signal
 
+from feel321.study.actuator import rig as rigs
 from feel321.study.actuator.mixer import Frames
-from feel321.study.actuator.rig import (
-    FILE_DEVICE,
-    SIMULATED_DEVICE,
-    CoilTable,
-    Rig,
-    SimulationTable,
-    TriggerTable,
-)
+from feel321.study.actuator.rig import CoilTable, Rig, SimulationTable
 from feel321.types import Samples
 
 Foreign = Any  # sounddevice has no types
@@ -61,30 +56,39 @@ def list_devices() -> list[Device]:
     return [Device(index, name, apis[api], *channels) for api, index, name, *channels in rows]
 
 
-def find_devices(rig: Rig) -> tuple[Device, Device]:
-    """Find the devices that play on a rig and measure there, and check that they have the channels it names."""
-    devices = list_devices()
-    device = source = find_device(devices, rig.device.name, host_api=rig.device.host_api)
-    if rig.sensor is not None and rig.sensor.device is not None:
+def find_devices(rig: Rig, devices: Sequence[Device] | None = None) -> tuple[Device, Device]:
+    """Find the devices that play on a rig and measure there, among those of this machine; never take others instead.
+
+    A device is the one of that name, or the only one that has it as a part of its own; it has the channels needed.
+    """
+    devices, own, sensor = list_devices() if devices is None else devices, rig.device, rig.sensor
+    outputs = [one for one in devices if one.n_outputs and one.name.lower() not in FALLBACKS]
+    if not outputs:
+        raise OSError(
+            f"device {own.name!r} not found: there is no output device at all; plug it in"
+        )
+    api = (own.host_api or "").lower()
+    which = " (which may be another one tomorrow)" if own.name.lower() in FALLBACKS else ""
+    which += f" through {own.host_api}" if api else ""
+    allowed = [one for one in outputs if not api or one.host_api.lower() == api]
+    device = source = _pick(allowed, own.name, listed=outputs, which=which)
+    if sensor is not None and sensor.device is not None:
         inputs = [one for one in devices if one.n_inputs and one.host_api == device.host_api]
-        source = _pick(inputs, rig.sensor.device, listed=inputs, which=" of [sensor]")
-    check_channels(rig, device, source)
+        source = _pick(inputs, sensor.device, listed=inputs, which=" of [sensor]")
+    n_inputs = max(sensor.channels) if sensor else 0
+    for name, kind, needed, there in (
+        (device.name, "output", rig.n_channels, device.n_outputs),
+        (source.name, "input", n_inputs, source.n_inputs),
+    ):
+        if needed > there:
+            raise OSError(
+                f"device {name!r} has {there} {kind} channel(s), the rig needs {needed}; take another device, or other "
+                "channels in rig.toml"
+            )
     return device, source
 
 
-def find_device(devices: Sequence[Device], name: str, *, host_api: str | None = None) -> Device:
-    """Find an output device by its name or a part of it that no other has; never take another one instead."""
-    outputs = [one for one in devices if one.n_outputs and one.name.lower() not in FALLBACKS]
-    if not outputs:
-        raise OSError(f"device {name!r} not found: there is no output device at all; plug it in")
-    allowed = [one for one in outputs if not host_api or one.host_api.lower() == host_api.lower()]
-    which = " (which may be another one tomorrow)" if name.lower() in FALLBACKS else ""
-    which += f" through {host_api}" if host_api else ""
-    return _pick(allowed, name, listed=outputs, which=which)
-
-
 def _pick(devices: Sequence[Device], name: str, *, listed: Sequence[Device], which: str) -> Device:
-    """Pick the device of a name, or the only one that has it as a part of its own."""
     part = name.strip().lower()
     found = [one for one in devices if one.name == name]
     found = found or [one for one in devices if part and part in one.name.lower()]
@@ -97,20 +101,6 @@ def _pick(devices: Sequence[Device], name: str, *, listed: Sequence[Device], whi
             "full, and its host_api in rig.toml"
         )
     raise OSError(f"device {name!r}{which} not found; name one of {known}")
-
-
-def check_channels(rig: Rig, device: Device, source: Device) -> None:
-    """Refuse devices that lack a channel that the rig names."""
-    n_inputs = max(rig.sensor.channels) if rig.sensor else 0
-    for name, kind, needed, there in (
-        (device.name, "output", rig.n_channels, device.n_outputs),
-        (source.name, "input", n_inputs, source.n_inputs),
-    ):
-        if needed > there:
-            raise OSError(
-                f"device {name!r} has {there} {kind} channel(s), the rig needs {needed}; take another device, or other "
-                "channels in rig.toml"
-            )
 
 
 def list_rates(device: Device, rates_hz: Sequence[float]) -> list[float]:
@@ -148,8 +138,7 @@ def _load() -> ModuleType:
     except OSError:
         how = "install the package libportaudio2"
         raise OSError(f"device: sounddevice needs PortAudio, which is not found; {how}") from None
-    module: ModuleType = sounddevice
-    return module
+    return sounddevice  # type: ignore[no-any-return]  # it has no types
 
 
 @contextmanager
@@ -161,9 +150,8 @@ def _silence_stderr() -> Iterator[None]:
         yield
         return
     try:
-        sink = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(sink, 2)
-        os.close(sink)
+        with pathlib.Path(os.devnull).open("wb") as sink:
+            os.dup2(sink.fileno(), 2)
         yield
     finally:
         os.dup2(kept, 2)
@@ -228,28 +216,28 @@ class DeviceStream(Sink):
 
     def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
         super().__init__(rig, rate_hz=rate_hz, fill=fill, clock=clock)
-        device, source = find_devices(rig)
-        self.name, sensor = device.name, rig.sensor
+        (device, source), sensor, sounddevice = find_devices(rig), rig.sensor, _load()
+        self.name = device.name
         self._columns = [channel - 1 for channel in sensor.channels] if sensor else []
         known = {"host_api": device.host_api, "is_program": device.is_program}
-        self.identity |= {"device": device.name, **known}
+        self.identity = {"device": device.name, **known}
         # What the device has to play: sound servers do not always say that it ran out.
         self._held_s, self._is_closed = OPENED_S, False
         self._untimed_s = nan  # time of the last call that did not say when its samples leave
-        settings = {"samplerate": rate_hz, "dtype": "float32", "latency": rig.device.latency_s}
+        own: dict[str, Any] = {"samplerate": rate_hz, "dtype": "float32"}
+        own |= {"latency": rig.device.latency_s, "channels": rig.n_channels}
+        if sensor is None:
+            own |= {"device": device.index, "callback": partial(self._serve, None)}
+        else:
+            own |= {"device": (source.index, device.index), "callback": self._serve}
+            own["channels"] = (max(sensor.channels), rig.n_channels)
         try:
             with _silence_stderr():
-                if sensor is None:
-                    settings |= {"device": device.index, "channels": rig.n_channels}
-                    settings["callback"] = partial(self._serve, None)
-                    self._stream = _load().OutputStream(**settings)
-                    self.latency_s = self.there_and_back_s = float(self._stream.latency)
-                else:
-                    settings["device"] = (source.index, device.index)
-                    settings["channels"] = (max(sensor.channels), rig.n_channels)
-                    self._stream = _load().Stream(callback=self._serve, **settings)
-                    self.latency_s = float(self._stream.latency[1])
-                    self.there_and_back_s = float(sum(self._stream.latency))
+                make = sounddevice.Stream if sensor else sounddevice.OutputStream
+                self._stream = make(**own)
+                latencies_s = np.atleast_1d(self._stream.latency)
+                self.latency_s = float(latencies_s[-1])
+                self.there_and_back_s = float(latencies_s.sum())
                 if self._stream.samplerate != rate_hz:
                     self._close()
                     raise OSError(
@@ -260,7 +248,7 @@ class DeviceStream(Sink):
                 self._last_s = self._seen_s = self._looked_s = perf_counter()
                 self._silent_s = 0.0  # while it was looked at: not every silence is the device's
                 self._stream.start()
-        except _load().PortAudioError as error:
+        except sounddevice.PortAudioError as error:
             reason = " ".join(str(part) for part in error.args[:1]).rstrip(".")
             raise OSError(
                 f"device {device.name!r} does not play at {rate_hz:g} Hz ({reason}); "
@@ -321,13 +309,10 @@ class DeviceStream(Sink):
         left_s = self._held_s - (self._last_s - before_s)
         held_s = min(self.latency_s, left_s) + block_s * DRIFT
         self._held_s = self.latency_s + block_s if left_s < 0 else held_s
-        block = BlockTimes(
-            now_s=now_s,
-            dac_s=dac_s,
-            has_run_dry=bool(status.output_underflow) or left_s < 0,
-            has_lost_input=bool(status.input_overflow or status.input_underflow),
-            dac_source=FROM_DEVICE if is_timed else FROM_LATENCY,
-        )
+        is_dry, has_lost = left_s < 0 or status.output_underflow, status.input_overflow
+        has_lost |= status.input_underflow
+        source = FROM_DEVICE if is_timed else FROM_LATENCY
+        block = BlockTimes(now_s, dac_s, bool(is_dry), bool(has_lost), source)
         self._fill(out, block, None if sensed is None else sensed[:, self._columns])
 
 
@@ -338,7 +323,7 @@ MOST_BEHIND_S = 0.2  # of its own time: a machine that lags by more slows the de
 class FileSink(Sink):
     """Keeps the blocks of a playback, which are filled in the time that they would take."""
 
-    name = FILE_DEVICE
+    name = rigs.FILE_DEVICE
 
     def begin(self) -> None:
         """Begin a playback."""
@@ -370,8 +355,7 @@ class SimulatedCoil:
             raise ValueError(
                 f"rate_hz must be above twice the resonance of {coil.resonance_hz:g} Hz, got {rate_hz:g}"
             )
-        self._coil, self._rng = coil, rng
-        direction = np.array(coil.direction or (1.0, 0.0, 0.0))
+        self._coil, self._rng, direction = coil, rng, np.array(coil.direction or (1.0, 0.0, 0.0))
         self._direction = direction / np.linalg.norm(direction)
         self._b, self._a = discretise(coil, rate_hz=rate_hz)
         self._state, self._line = np.zeros(2), np.zeros(coil.latency)
@@ -402,17 +386,14 @@ class Hardware:
     def __init__(self, rig: Rig, *, rate_hz: float) -> None:
         simulation = rig.simulation or SimulationTable()
         tables = {coil.name: coil for coil in simulation.coils}
-        self._rng = np.random.default_rng(simulation.seed)
-        self._coils = []
-        for actuator in rig.actuators:
-            own = tables.get(actuator.name, CoilTable(name=actuator.name))
-            late = own.latency + simulation.latency
-            direction = own.direction or actuator.direction
-            own = own.model_copy(update={"direction": direction, "latency": late})
+        self._rng, self._coils = np.random.default_rng(simulation.seed), []
+        for one in rig.actuators:
+            own = tables.get(one.name, CoilTable(name=one.name))
+            late = {"latency": own.latency + simulation.latency}
+            own = own.model_copy(update={"direction": own.direction or one.direction} | late)
             coil = SimulatedCoil(own, rate_hz=rate_hz, rng=self._rng)
-            self._coils.append((actuator.channel - 1, coil))
-        self._noise_m_s2 = simulation.noise_m_s2
-        self._sensor = rig.sensor
+            self._coils.append((one.channel - 1, coil))
+        self._noise_m_s2, self._sensor = simulation.noise_m_s2, rig.sensor
 
     def sense(self, out: Frames) -> Frames | None:
         """Return what the sensor's inputs get for frames sent, shape (n, channels), as parts of its full scale."""
@@ -427,7 +408,7 @@ class Hardware:
 class SimulatedStream(Sink):
     """Coils of `[simulation]` that a thread moves, block by block, as a device would."""
 
-    name = SIMULATED_DEVICE
+    name = rigs.SIMULATED_DEVICE
 
     def __init__(self, rig: Rig, *, rate_hz: float, fill: Fill, clock: SessionClock) -> None:
         super().__init__(rig, rate_hz=rate_hz, fill=fill, clock=clock)
@@ -458,92 +439,15 @@ class SimulatedStream(Sink):
     def _run(self) -> None:
         block_s = BLOCK_FRAMES / self._rate_hz
         while not self._closing.is_set():
-            behind_s = (perf_counter() - self._begin_s) * self._speed - self._frame / self._rate_hz
+            now_s = self._frame / self._rate_hz
+            behind_s = (perf_counter() - self._begin_s) * self._speed - now_s
             if behind_s < block_s:
                 self._closing.wait((block_s - behind_s) / self._speed)
                 continue
             if behind_s > MOST_BEHIND_S * max(self._speed, 1.0):
                 self._begin_s += behind_s / self._speed
-            self._serve()
-
-    def _serve(self) -> None:
-        out = np.zeros((BLOCK_FRAMES, self._rig.n_channels), dtype=np.float32)
-        now_s = self._frame / self._rate_hz
-        self._frame += BLOCK_FRAMES
-        # As with a device, what is sensed is of the block before.
-        self._fill(out, BlockTimes(now_s=now_s, dac_s=now_s + self.latency_s), self._sensed)
-        self._sensed = self._hardware.sense(out)
-
-
-LOOK_S = 0.0005  # between two looks at whether the onset is known, and whether it is there
-SPIN_S = 0.002  # before an onset, within which there is no sleep
-
-
-class Trigger:
-    """Sends a code to a port at each onset, in a thread of its own, and 0 a little later; clock: the session's."""
-
-    def __init__(self, table: TriggerTable, clock: SessionClock) -> None:
-        self._table, self._clock, self._send = table, clock, open_port(table)
-        self._watching: Thread | None = None
-        self._is_over = False
-        self.sent_s: float | None = None
-        self.error = ""
-
-    def watch(self, find_onset: Callable[[], float | None]) -> None:
-        """Wait for the onset of a playback that begins, as soon as it is known."""
-        self.leave()
-        self.sent_s, self.error, self._is_over = None, "", False
-        self._watching = Thread(target=self._run, args=(find_onset,), daemon=True)
-        self._watching.start()
-
-    def leave(self) -> None:
-        """Wait no longer; a port that takes nothing may not hold up the session."""
-        self._is_over = True
-        patience_s = CLOSING_S + self._table.duration_s
-        if self._watching is not None and not join(self._watching, patience_s=patience_s):
-            self.error = f"trigger on {self._table.address}: the port takes nothing"
-
-    def _run(self, find_onset: Callable[[], float | None]) -> None:
-        while not self._is_over:
-            onset_s = find_onset()
-            if onset_s is None or onset_s - self._clock() > SPIN_S:
-                sleep(LOOK_S)
-            elif onset_s <= self._clock():
-                break
-        else:
-            return
-        try:
-            self._send(self._table.code)
-            self.sent_s = self._clock()
-            sleep(self._table.duration_s)
-            self._send(0)
-        except Exception as error:  # noqa: BLE001 - whatever a driver raises, the session goes on
-            self.error = f"trigger on {self._table.address}: {error}"
-
-
-def open_port(table: TriggerTable) -> Callable[[int], object]:
-    """Open a port by PsychoPy's class for it, and return what sends a code there."""
-    try:
-        if table.port == "parallel":
-            from psychopy import parallel
-
-            address: Any = table.address
-            if address.lower().startswith("0x"):
-                address = int(address, 16)
-            send: Callable[[int], object] = parallel.ParallelPort(address).setData
-            return send
-        from psychopy.hardware.serialdevice import SerialDevice
-
-        class Port(SerialDevice):  # type: ignore[misc]  # PsychoPy has no types
-            """A port at whose other end nobody answers."""
-
-            def isAwake(self) -> bool:  # noqa: N802 - PsychoPy's name
-                return True
-
-        port = Port(table.address, table.baud)
-    except Exception as error:  # noqa: BLE001 - PsychoPy and its drivers raise what they like
-        raise OSError(
-            f"trigger: {table.port} port {table.address} does not open ({error}); check [trigger] in rig.toml, and "
-            "whether this account may use the port"
-        ) from None
-    return lambda code: port.com.write(bytes([code]))
+            out = np.zeros((BLOCK_FRAMES, self._rig.n_channels), dtype=np.float32)
+            self._frame += BLOCK_FRAMES
+            # As with a device, what is sensed is of the block before.
+            self._fill(out, BlockTimes(now_s, now_s + self.latency_s), self._sensed)
+            self._sensed = self._hardware.sense(out)

@@ -3,20 +3,27 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from time import perf_counter, sleep
 from typing import Any
 
 import numpy as np
 
+from feel321.arguments import follow
+from feel321.study.actuator import certificate as certificates
 from feel321.study.actuator import faults
+from feel321.study.actuator import rig as rigs
 from feel321.study.actuator.certificate import MEASURED, Certificate
 from feel321.study.actuator.device import FROM_LATENCY, list_devices, list_rates
 from feel321.study.actuator.mixer import Frames
 from feel321.study.actuator.output import open_bench, open_output
 from feel321.study.actuator.render import find_directions
 from feel321.study.actuator.response import Response, Sweep, make_sweep, measure_sweep
-from feel321.study.actuator.rig import ActuatorTable, Rig, find_allowed, require_sensor
+from feel321.study.actuator.rig import ActuatorTable, Rig
+from feel321.study.folder import OpenStudy, Outcome, require_study
 from feel321.study.session.ports import Playback
+from feel321.study.settings.read import read_settings
+from feel321.study.terminal import format_facts
 from feel321.types import Samples
 
 RATES_HZ = (8000.0, 16000.0, 44100.0, 48000.0, 96000.0, 192000.0)
@@ -142,7 +149,7 @@ def probe_coils(
         n_repeats=2,
         peak=1.0,
     )
-    asked, found, sensor = make_sweep(sweep), dict[str, dict[str, Any]](), require_sensor(rig)
+    asked, found, sensor = make_sweep(sweep), dict[str, dict[str, Any]](), rigs.require_sensor(rig)
     known = certificate if certificate and certificate.method == MEASURED else None
     diagnosis = faults.Diagnosis(known, rig) if known else None
     if diagnosis is not None:
@@ -150,7 +157,7 @@ def probe_coils(
     with open_bench(rig, rate_hz=rate_hz, n_longest=len(asked)) as bench:
         silence = bench.play({}, n=round(rate_hz))
         for actuator in rig.actuators:
-            peak = PROBE_LEVEL * find_allowed(rig, actuator)
+            peak = PROBE_LEVEL * rigs.find_allowed(rig, actuator)
             if known:
                 motion = known.coils[actuator.name].respond(asked, rate_hz=rate_hz)
                 safe = SAFE * min(rig.limits.peak_m_s2, sensor.full_scale_m_s2)
@@ -190,7 +197,9 @@ def find_fault(
     rig: Rig, actuator: ActuatorTable, seen: Response | None, *, recorded: Samples, sent: Samples
 ) -> str:
     """Name what is wrong with a coil that has no certificate, by what its probe moved."""
-    fault = faults.find_sensor_fault(recorded, full_scale_m_s2=require_sensor(rig).full_scale_m_s2)
+    fault = faults.find_sensor_fault(
+        recorded, full_scale_m_s2=rigs.require_sensor(rig).full_scale_m_s2
+    )
     if fault or seen is None:
         return fault
     probe = _describe(seen)
@@ -247,3 +256,44 @@ def _find_rate(sent: Samples, recorded: Samples, *, rate_hz: float) -> str:
 
     best = max((1.0, *faults.RATES), key=liken)
     return "" if best == 1 or liken(best) < 2 * liken(1.0) else faults.name_rate(best, rate_hz)
+
+
+def examine_study_rig(lab: OpenStudy, *, device: str | None, seconds: float) -> Outcome:
+    """Play pulses and probes on the rig of a study, or on a device without one, and say what is wrong."""
+    folder = lab.folder
+    if folder.path != Path():  # without a study a device can be tested
+        require_study(folder.path)
+    own, rig = folder.settings, None
+    rate_hz = read_settings(own).rig.rate_hz if own.is_file() else rigs.RATE_HZ
+    if folder.rig.is_file() or device:
+        limits = rigs.LimitsTable(peak_m_s2=100.0, rms_m_s2=50.0, duration_s=30.0)
+        rig = rigs.read_rig(folder.rig) if folder.rig.is_file() else Rig(limits=limits)
+        rig = rigs.take_device(rig, device) if device else rig
+    name = rig.device.name if rig else rigs.FILE_DEVICE
+    devices = [] if name == rigs.SIMULATED_DEVICE else survey_devices()
+    found, known, wrong = dict[str, Any](), dict[str, Any](), list[str]()
+    if rig is not None and name != rigs.FILE_DEVICE and seconds:
+        with follow(lab.progress, "pulses") as step:
+            found = examine_rig(rig, rate_hz=rate_hz, seconds=seconds, on_step=step)
+        if rig.sensor is not None and found["n_failed"] < found["n_pulses"]:
+            certificate = None
+            if certificates.list_certificates(folder.path):
+                certificate, wrong = certificates.judge_certificates(
+                    folder.path, rig, now=lab.now(), rate_hz=rate_hz
+                )
+            coils, hum = probe_coils(rig, certificate, rate_hz=rate_hz)
+            wrong += [f"{name}: {one['fault']}" for name, one in coils.items() if one["fault"]]
+            wrong += [hum] if hum else []
+            known = {"certificate": certificate and certificate.id, "coils": coils, "faults": wrong}
+    facts = {"devices": devices, "examination": found or None, "rig": known or None}
+    nothing = "nothing was played; name a device with --device, or in the study's rig.toml"
+    lines = [*format_facts(facts), *([] if found else [nothing])]
+    if found and found["is_program"]:
+        lab.say(
+            f"{found['device']}: a program plays it (a sound server, say), which may convert the rate and copy "
+            "channels to others without notice; name the card itself, or give it as many channels as the rig has"
+        )
+    if found and found["error"]:
+        lab.say(found["error"])
+    failed = bool(found and (found["n_failed"] or found["n_underruns"]))
+    return Outcome(facts, lines, faults=wrong, failed=failed)

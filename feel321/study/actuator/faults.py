@@ -7,7 +7,7 @@ nothing explains is "unknown", with the figures. Coils in one direction cannot b
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -53,10 +53,11 @@ class Fit:
 
     asked: its motion by the certificate, with that resonance and damping, which are factors. lag: samples since the
     onset was sent, the coil's own apart. left: share of the motion's energy that is not explained. error_db: standard
-    error of gain_db. Then, of a whole playback: the energy of its noise; distortion: what no linear response explains,
-    over the motion; level_db: of all its motion over what was asked.
+    error of gain_db. noise: energy. distortion: what no linear response explains, over the motion; level_db: of all
+    its motion over what was asked.
     """
 
+    name: str
     asked: Spectrum
     gain_db: float
     sign: int
@@ -65,21 +66,20 @@ class Fit:
     error_db: float
     resonance: float
     damping: float
-    name: str = ""
-    noise: float = 0.0
-    distortion: float = 0.0
-    level_db: float = 0.0
-    is_asked: bool = False
-    is_moving: bool = False
+    noise: float
+    distortion: float
+    level_db: float
+    is_asked: bool
+    is_moving: bool
 
 
-def energy(spectrum: Spectrum) -> float:
-    """Sum the squares of a spectrum."""
-    return float(np.sum(np.abs(spectrum) ** 2))
+def energy(spectra: Spectrum) -> Samples:
+    """Sum the squares of spectra, shape (..., k)."""
+    return np.asarray(np.sum(np.abs(spectra) ** 2, axis=-1))
 
 
-def group_coils(certificate: Certificate) -> dict[str, list[CoilCertificate]]:
-    """Group the coils that move in about one direction, by their joined names."""
+def group_coils(certificate: Certificate) -> list[list[CoilCertificate]]:
+    """Group the coils that move in about one direction."""
     groups: list[list[CoilCertificate]] = []
     for coil in certificate.coils.values():
         near = (g for g in groups if abs(g[0].direction @ coil.direction) > PARALLEL)
@@ -87,7 +87,7 @@ def group_coils(certificate: Certificate) -> dict[str, list[CoilCertificate]]:
             group.append(coil)
         else:
             groups.append([coil])
-    return {" and ".join(coil.name for coil in group): group for group in groups}
+    return groups
 
 
 def find_resonance(coil: CoilCertificate) -> tuple[float, float]:
@@ -110,134 +110,134 @@ def _swing(at_hz: Samples, resonance_hz: float, q: float) -> Spectrum:
 
 
 class Scene:
-    """One playback, taken apart by coil; all spectra are those of the band, shape (k,).
+    """One playback, taken apart by group of coils; all spectra are those of the band, shape (k,).
 
-    lag: common to all coils, in samples; follows: share of all motion that follows any coil's samples there.
+    actual: motion by group; asked: motion by group, by the samples of each group. lag: common to all, in samples;
+    follows: share of all motion that follows any coil's samples there.
     """
 
     def __init__(
         self, certificate: Certificate, sent: Frames, measured: Samples, *, rate: float = 1.0
     ) -> None:
-        self.rate_hz, self.n = certificate.rate_hz, max(len(sent), measured.shape[1])
-        self._coarse = max(int(self.rate_hz / COARSE_HZ), 1)
-        n_coarse = round(self.n / self._coarse + RINGING_S * COARSE_HZ)
-        self.n_grid = self._coarse * fft.next_fast_len(n_coarse, real=True)
-        grid_hz = fft.rfftfreq(self.n_grid, 1 / self.rate_hz)
+        self.given, self.rate_hz = (sent, measured), certificate.rate_hz
+        self._n = max(len(sent), measured.shape[1])
+        coarse = max(int(self.rate_hz / COARSE_HZ), 1)
+        n_coarse = fft.next_fast_len(round(self._n / coarse + RINGING_S * COARSE_HZ), real=True)
+        self._n_grid = coarse * n_coarse
+        grid_hz = fft.rfftfreq(self._n_grid, 1 / self.rate_hz)
         band_hz = (max(20.0, certificate.band_hz[0]), min(1000.0, certificate.band_hz[1]))
         self._inside = np.flatnonzero(find_inside(grid_hz, band_hz=band_hz))
-        self.at_hz = grid_hz[self._inside]
-        self.groups = group_coils(certificate)
-        self._directions: Samples = np.stack([own[0].direction for own in self.groups.values()], 1)
-        self.moved = np.linalg.pinv(self._directions) @ measured
-        self.actual = dict(zip(self.groups, self.transform(self.moved), strict=True))
+        self._at_hz, self.groups = grid_hz[self._inside], group_coils(certificate)
+        self._directions: Samples = np.stack([own[0].direction for own in self.groups], axis=1)
+        self._moved = np.linalg.pinv(self._directions) @ measured
+        self.actual = self._transform(self._moved)
         frames = np.asarray(sent, dtype=np.float64)
         if rate != 1:
-            place, given = np.arange(self.n) * rate, np.arange(len(sent))
+            place, given = np.arange(self._n) * rate, np.arange(len(sent))
             frames = np.stack([np.interp(place, given, one, right=0.0) for one in frames.T], axis=1)
         self.sent = {one.name: frames[:, one.channel - 1] for one in certificate.coils.values()}
         self._first = min(one.latency for one in certificate.coils.values())
-        self.asked = {
-            (own, other): self.expect(own, {one.name: self.sent[one.name] for one in coils})
-            for own in self.groups
-            for other, coils in self.groups.items()
-        }
-        self.lag, self.follows = self._find_lag()
-        self.asked = {pair: self.shift(one, self.lag) for pair, one in self.asked.items()}
+        samples = [{one.name: self.sent[one.name] for one in coils} for coils in self.groups]
+        n = len(self.groups)
+        asked = np.stack([[self.expect(own, other) for other in samples] for own in range(n)])
+        size, cross = energy(asked), np.zeros((n, n, n_coarse // 2 + 1), dtype=np.complex128)
+        cross[..., self._inside] = self.actual[:, None] * asked.conj()
+        found = np.square(fft.irfft(cross, n_coarse) * n_coarse / 2)
+        explained = found / np.maximum(size, TINY)[..., None] * (size > TINY)[..., None]
+        total = explained.max(axis=1).sum(axis=0)
+        self.lag = int(np.argmax(total)) * coarse
+        whole = max(float(energy(self.actual).sum()), TINY)
+        self.follows, self.asked = float(total.max() / whole), self.shift(asked, self.lag)
 
-    def transform(self, samples: Samples) -> Spectrum:
+    def _transform(self, samples: Samples) -> Spectrum:
         """Transform samples to the spectrum in the band, shape (..., k)."""
-        spectrum: Spectrum = fft.rfft(samples, self.n_grid)[..., self._inside]
-        return spectrum
+        return np.asarray(fft.rfft(samples, self._n_grid)[..., self._inside])
 
     def shift(self, asked: Spectrum, n_samples: float) -> Spectrum:
         """Delay what is asked of a coil."""
-        return np.asarray(asked * np.exp(-2j * np.pi * self.at_hz * n_samples / self.rate_hz))
+        return np.asarray(asked * np.exp(-2j * np.pi * self._at_hz * n_samples / self.rate_hz))
 
-    def expect(self, group: str, sent: Mapping[str, Samples]) -> Spectrum:
+    def expect(self, place: int, sent: Mapping[str, Samples]) -> Spectrum:
         """Expect the motion of a group along its direction; samples of another coil are taken as its own."""
-        own, moved = self.groups[group], np.zeros(len(self.at_hz), dtype=np.complex128)
+        own, moved = self.groups[place], np.zeros(len(self._at_hz), dtype=np.complex128)
         for name, samples in sent.items():
             if samples.any():
                 coil = next((one for one in own if one.name == name), own[0])
-                response = np.interp(self.at_hz, coil.frequency_hz, coil.response)
+                response = np.interp(self._at_hz, coil.frequency_hz, coil.response)
                 response *= float(coil.direction @ own[0].direction)
-                moved += self.shift(response * self.transform(samples), coil.latency - self._first)
+                moved += self.shift(response * self._transform(samples), coil.latency - self._first)
         return moved
-
-    def _find_lag(self) -> tuple[int, float]:
-        n = self.n_grid // self._coarse
-        explained = np.zeros((len(self.groups), n))
-        for row, own in enumerate(self.groups):
-            for other in self.groups:
-                if (size := energy(self.asked[own, other])) > TINY:
-                    cross = np.zeros(n // 2 + 1, dtype=np.complex128)
-                    cross[self._inside] = self.actual[own] * self.asked[own, other].conj()
-                    found = fft.irfft(cross, n) * n / 2
-                    explained[row] = np.maximum(explained[row], found**2 / size)
-        total = explained.sum(axis=0)
-        place = int(np.argmax(total))
-        whole = sum(map(energy, self.actual.values()))
-        return place * self._coarse, float(total[place] / max(whole, TINY))
-
-    def find_noise(self, group: str) -> float:
-        """Find the energy of a coil's noise in the band: that before the onset, or the certificate's."""
-        n_quiet = max(min(self.lag, self._first) - round(0.005 * self.rate_hz), 0)
-        quiet = self.moved[list(self.groups).index(group), :n_quiet]
-        power = float(self.groups[group][0].noise_m_s2) ** 2 / 3 * 2 * len(self.at_hz) / self.n_grid
-        if n_quiet > MIN_QUIET_S * self.rate_hz:
-            power = max(power, 2 * energy(self.transform(quiet)) / self.n_grid / n_quiet)
-        return float(np.nan_to_num(power) * self.n * self.n_grid / 2)
 
     def find_left(self, measured: Samples, lines_hz: Sequence[float]) -> tuple[Samples, Samples]:
         """Find what of the measured axes, (3, n), no linear response explains, and the lines beside it."""
         n = measured.shape[1]
         turns = 2 * np.pi * np.outer(lines_hz, np.arange(n) / self.rate_hz)
-        columns = self.transform(np.cos(turns).reshape(-1, n))
-        follow = np.zeros((len(self.groups), self.n_grid // 2 + 1), dtype=np.complex128)
+        columns = self._transform(np.cos(turns).reshape(-1, n))
+        follow = np.zeros((len(self.groups), self._n_grid // 2 + 1), dtype=np.complex128)
         lines = np.zeros((len(self.groups), n))
-        for row, name in enumerate(self.groups):
-            follow[row, self._inside], size = self.follow(name, self.asked[name, name], columns)
+        for row, asked in enumerate(np.diagonal(self.asked).T):
+            follow[row, self._inside], size = self._follow(self.actual[row], asked, columns)
             lines[row] = size.real @ np.cos(turns) - size.imag @ np.sin(turns)
-        moved = self._directions @ fft.irfft(follow, self.n_grid)[:, :n]
+        moved = self._directions @ fft.irfft(follow, self._n_grid)[:, :n]
         return measured - moved, self._directions @ lines
 
-    def follow(self, group: str, asked: Spectrum, lines: Spectrum) -> tuple[Spectrum, Spectrum]:
+    def _follow(
+        self, actual: Spectrum, asked: Spectrum, lines: Spectrum
+    ) -> tuple[Spectrum, Spectrum]:
         """Fit a response that is smooth over frequency, and lines, to a motion: what follows, and the lines' sizes."""
-        octaves = np.log2(self.at_hz)
+        octaves = np.log2(self._at_hz)
         knots = np.linspace(octaves[0], octaves[-1], round(KNOTS * (octaves[-1] - octaves[0])) + 2)
         hats = np.maximum(1 - np.abs(octaves[:, None] - knots) / (knots[1] - knots[0]), 0)
         columns = np.concatenate([hats * asked[:, None], lines.T], axis=1)
-        weights = np.linalg.lstsq(columns, self.actual[group], rcond=1e-6)[0]
+        weights = np.linalg.lstsq(columns, actual, rcond=1e-6)[0]
         n = len(knots)
-        return np.asarray(columns[:, :n] @ weights[:n]), weights[n:]
+        return np.asarray(columns[:, :n] @ weights[:n]), np.asarray(weights[n:])
 
-    def fit(self, group: str, asked: Spectrum, *, swings: tuple[float, float] | None = None) -> Fit:
-        """Fit gain, sign and lag of a coil to its motion; with its resonance and Q, changes of these too."""
-        actual, size = self.actual[group], math.sqrt(max(energy(self.actual[group]), TINY))
-        start = complex(np.vdot(asked, actual)) / max(energy(asked), TINY)
-        sign, n_free = -1 if start.real < 0 else 1, 2 if swings is None else 4
+    def fit(self, place: int, asked: Spectrum, *, swings: tuple[float, float]) -> Fit:
+        """Fit gain, sign and lag of a group to its motion and, where that helps, changes of its resonance and Q."""
+        actual, moved = self.actual[place], float(energy(self.actual[place]))
+        # Its noise is that before the onset, or the certificate's.
+        n_quiet = max(min(self.lag, self._first) - round(0.005 * self.rate_hz), 0)
+        certified = self.groups[place][0].noise_m_s2
+        power = float(certified) ** 2 / 3 * 2 * len(self._at_hz) / self._n_grid
+        if n_quiet > MIN_QUIET_S * self.rate_hz:
+            quiet = float(energy(self._transform(self._moved[place, :n_quiet])))
+            power = max(power, 2 * quiet / self._n_grid / n_quiet)
+        noise = float(np.nan_to_num(power) * self._n * self._n_grid / 2)
+        start = complex(np.vdot(asked, actual)) / max(float(energy(asked)), TINY)
+        sign = -1 if start.real < 0 else 1
 
         def reshape(x: Samples) -> Spectrum:
-            if swings is None:
+            if len(x) == len(simple):
                 return asked
-            own = _swing(self.at_hz, swings[0] * math.exp(x[2]), swings[1] * math.exp(-x[3]))
-            return np.asarray(asked * _swing(self.at_hz, *swings) / own)
+            own = _swing(self._at_hz, swings[0] * math.exp(x[2]), swings[1] * math.exp(-x[3]))
+            return np.asarray(asked * _swing(self._at_hz, *swings) / own)
 
         def miss(x: Samples) -> Samples:
-            turned = sign * np.exp(x[0] - 2j * np.pi * self.at_hz * x[1] / 1e3)
-            return np.asarray((actual - turned * reshape(x)) / size).view(np.float64)
+            turned = sign * np.exp(x[0] - 2j * np.pi * self._at_hz * x[1] / 1e3)
+            missing = (actual - turned * reshape(x)) / math.sqrt(max(moved, TINY))
+            return np.asarray(missing).view(np.float64)
 
         # Log gain, lag in ms, log resonance, log damping: first guess, bounds, scale.
         gain = min(max(math.log(max(abs(start), TINY)), -11.9), 4.9)
         free = np.array([
             [gain, 0.0, 0.0, 0.0], [-12.0, -2.0, -1.0, -2.0], [5.0, 2.0, 1.0, 2.0], [0.1, 0.1, 0.05, 0.2],
-        ])[:, :n_free]  # fmt: skip
-        found = optimize.least_squares(miss, free[0], bounds=(free[1], free[2]), x_scale=free[3])
+        ])  # fmt: skip
+        simple, low, high, scale = free[:, :2]
+        found = optimize.least_squares(miss, simple, bounds=(low, high), x_scale=scale)
+        if max(LEAST_LEFT, 2 * noise / max(moved, TINY)) < 2 * found.cost < FOLLOWS:
+            guess, low, high, scale = free
+            full = optimize.least_squares(miss, guess, bounds=(low, high), x_scale=scale)
+            found = full if full.cost < BETTER * found.cost else found
         jacobian = np.asarray(found.jac)
-        spread = np.linalg.pinv(jacobian.T @ jacobian) * 2 * found.cost / len(self.at_hz)
-        x = np.array([*found.x, 0.0, 0.0])
+        spread = np.linalg.pinv(jacobian.T @ jacobian) * 2 * found.cost / len(self._at_hz)
+        x, shaped = np.array([*found.x, 0.0, 0.0]), reshape(found.x)
+        rest = (
+            actual - self._follow(actual, shaped, np.empty((0, len(asked)), dtype=np.complex128))[0]
+        )
         return Fit(
-            asked=reshape(x),
+            name=" and ".join(coil.name for coil in self.groups[place]),
+            asked=shaped,
             gain_db=DB * float(x[0]),
             sign=sign,
             lag=self.lag + float(x[1]) * self.rate_hz / 1e3,
@@ -245,49 +245,53 @@ class Scene:
             error_db=DB * math.sqrt(max(float(spread[0, 0]), 0.0)),
             resonance=math.exp(x[2]),
             damping=math.exp(x[3]),
+            noise=noise,
+            distortion=math.sqrt(max(float(energy(rest)) - noise, 0.0) / max(moved, TINY)),
+            level_db=DB / 2 * math.log(max(moved - noise, TINY) / max(float(energy(asked)), TINY)),
+            is_asked=float(energy(asked)) > CLEAR**2 * noise,
+            is_moving=moved > CLEAR**2 * noise,
         )
 
 
 class Diagnosis:
     """Judges the playbacks of a rig with a measured certificate and a sensor.
 
-    lag, motions: of the last playback, in samples, and by coil. is_grave: whether a fault of it may have been felt: not
-    if each coil did what was sent to it, within tolerance_db (None for any) and the rig's own `max_distortion`.
+    lag: of the last playback, in samples. is_grave: whether a fault of it may have been felt: not if each coil did what
+    was sent to it, within tolerance_db (None for any) and the rig's own `max_distortion`.
     """
 
     def __init__(
         self, certificate: Certificate, rig: Rig, *, tolerance_db: float | None = None
     ) -> None:
-        self.certificate, self.is_grave = certificate, False
+        self._certificate, self._settings, self.is_grave = certificate, rig.calibration, False
         self._tolerance_db = math.inf if tolerance_db is None else tolerance_db
-        self._settings, self._full_scale = rig.calibration, require_sensor(rig).full_scale_m_s2
-        self._resonances, self._distorts = dict[str, tuple[float, float]](), dict[str, float]()
-        for name, group in group_coils(certificate).items():
-            self._resonances[name] = find_resonance(group[0])
-            known = max(float(np.nan_to_num(one.total_distortion)) for one in group)
-            self._distorts[name] = DISTORTS + 2 * known
+        self._full_scale, groups = require_sensor(rig).full_scale_m_s2, group_coils(certificate)
+        self._resonances = [find_resonance(group[0]) for group in groups]
+        known = [[float(np.nan_to_num(one.total_distortion)) for one in group] for group in groups]
+        self._distorts = [DISTORTS + 2 * max(own) for own in known]
         self.lag: float | None = float(min(one.latency for one in certificate.coils.values()))
         # A stream that was opened anew, or interrupted, holds more or less than before, in whole blocks.
         self._most_s = rig.device.latency_s / BLOCKS
-        self.motions: dict[str, Fit] = {}
 
     def judge(self, sent: Frames, measured: Samples) -> str:
         """Name what is wrong by frames sent, (n, channels), and what was measured since, (3, m) in m/s²; or nothing."""
-        self.motions, self.is_grave = {}, True
+        self.is_grave = True
         if fault := find_sensor_fault(measured, full_scale_m_s2=self._full_scale):
             return fault
         measured = measured - measured.mean(axis=1, keepdims=True)
-        scene = Scene(self.certificate, sent, measured)
+        scene = Scene(self._certificate, sent, measured)
         left, hum = scene.find_left(measured, [])
         # Harmonics of what was asked at 25 or 30 Hz are no hum.
-        least = max(HUM_SHARE, *self._distorts.values())
+        least = max(HUM_SHARE, *self._distorts)
         hum_hz, _ = find_hum(left, rate_hz=scene.rate_hz, size=_rms(measured) * least / HUM_SHARE)
         for _ in range(N_HUMS if hum_hz else 0):  # a strong one hides what it is to be told from
             more = scene.find_left(measured, [k * hum_hz for k in range(1, 6)])[1]
             measured, hum = measured - more, hum + more
-            scene = Scene(self.certificate, sent, measured)
-        self.motions = {name: self._find_motion(scene, name) for name in scene.groups}
-        found = list(self._find_causes(scene, sent, measured))
+            scene = Scene(self._certificate, sent, measured)
+        asked = np.diagonal(scene.asked).T
+        places = enumerate(zip(asked, self._resonances, strict=True))
+        motions = [scene.fit(place, own, swings=swings) for place, (own, swings) in places]
+        found = list(self._find_causes(scene, motions))
         is_swapped = any("swapped" in one for one in found)
         is_within = all(
             not one.is_asked
@@ -296,48 +300,31 @@ class Diagnosis:
                 and max(abs(one.gain_db), abs(one.level_db)) <= self._tolerance_db
                 and one.distortion <= self._settings.max_distortion
             )
-            for one in self.motions.values()
+            for one in motions
         )
         self.is_grave = bool(found) and (is_swapped or not is_within)
         if hum_hz and scene.follows > FOLLOWS and not is_swapped:
             found.append(describe_hum(hum_hz, _rms(hum)))
         return "; ".join(found)
 
-    def _find_motion(self, scene: Scene, name: str) -> Fit:
-        asked, noise = scene.asked[name, name], scene.find_noise(name)
-        moved = energy(scene.actual[name])
-        fit = scene.fit(name, asked)
-        if max(LEAST_LEFT, 2 * noise / max(moved, TINY)) < fit.left < FOLLOWS:
-            full = scene.fit(name, asked, swings=self._resonances[name])
-            fit = full if full.left < BETTER * fit.left else fit
-        no_lines = np.zeros((0, len(asked)), dtype=np.complex128)
-        rest = scene.actual[name] - scene.follow(name, fit.asked, no_lines)[0]
-        return replace(
-            fit,
-            name=name,
-            noise=noise,
-            distortion=math.sqrt(max(energy(rest) - noise, 0.0) / max(moved, TINY)),
-            level_db=DB / 2 * math.log(max(moved - noise, TINY) / max(energy(asked), TINY)),
-            is_asked=energy(asked) > CLEAR**2 * noise,
-            is_moving=moved > CLEAR**2 * noise,
-        )
-
-    def _find_causes(self, scene: Scene, sent: Frames, measured: Samples) -> Iterator[str]:
-        asked = [one for one in self.motions.values() if one.is_asked]
+    def _find_causes(self, scene: Scene, motions: Sequence[Fit]) -> Iterator[str]:
+        asked = [one for one in motions if one.is_asked]
         if not asked:
             return
-        if not any(one.is_moving for one in self.motions.values()):
+        if not any(one.is_moving for one in motions):
             # Of one coil alone nothing is known of the others, which may well move.
             where = "cable, amplifier, and its channel, which the sink may lack"
-            if len(asked) == len(self.motions):
+            if len(asked) == len(motions):
                 where = "amplifier, coils, and how the sensor is held"
             names = " and ".join(one.name for one in asked)
             yield f"{names}: dead: the sensor shows noise only; check {where}"
             return
-        if whole := self._find_rate(scene, sent, measured) or self._find_swap(scene):
+        if whole := self._find_rate(scene, motions) or self._find_swap(scene, motions):
             yield whole
             return
-        causes = {one.name: next(self._list_causes(scene, one), "") for one in asked}
+        listed = [self._list_causes(scene, place, one) for place, one in enumerate(motions)]
+        pairs = zip(motions, listed, strict=True)
+        causes = {one.name: next(own, "") for one, own in pairs if one.is_asked}
         told = {name: cause for name, cause in causes.items() if cause}
         gains = [one.gain_db for one in asked]
         is_common = max(gains) - min(gains) < self._settings.max_drift_db
@@ -354,50 +341,52 @@ class Diagnosis:
                     "than before"
                 )
 
-    def _find_rate(self, scene: Scene, sent: Frames, measured: Samples) -> str:
+    def _find_rate(self, scene: Scene, motions: Sequence[Fit]) -> str:
         """Name a converter that runs at another rate; else what is known, or nothing if most follows."""
         if scene.follows >= CLOSELY:
             return ""
-        own = self.certificate
-        others = {rate: Scene(own, sent, measured, rate=rate).follows for rate in RATES}
+        own, given = self._certificate, scene.given
+        others = {rate: Scene(own, *given, rate=rate).follows for rate in RATES}
         rate = max(others, key=others.__getitem__)
         if others[rate] > FOLLOWS and 1 - others[rate] < BETTER * (1 - scene.follows):
             return name_rate(rate, scene.rate_hz)
-        return _describe_unknown(self.motions.values()) if scene.follows < FOLLOWS else ""
+        return _describe_unknown(motions) if scene.follows < FOLLOWS else ""
 
-    def _find_swap(self, scene: Scene) -> str:
+    def _find_swap(self, scene: Scene, motions: Sequence[Fit]) -> str:
         """Name the pair of coils that do what is sent to the other."""
-        moved = {name: energy(actual) for name, actual in scene.actual.items()}
-        straight = {name: self.motions[name].left * size for name, size in moved.items()}
+        moved = energy(scene.actual)
+        straight = np.array([one.left for one in motions]) * moved
 
-        def leave(pair: tuple[str, str]) -> float:
+        def leave(pair: tuple[int, int]) -> float:
             left = straight.copy()
             for own, other in (pair, pair[::-1]):
-                asked = scene.asked[own, other]
+                asked, swings = scene.asked[own, other], self._resonances[own]
                 is_asked = energy(asked) > TINY
-                left[own] = moved[own] * (scene.fit(own, asked).left if is_asked else 1.0)
-            return sum(left.values())
+                share = scene.fit(own, asked, swings=swings).left if is_asked else 1.0
+                left[own] = moved[own] * share
+            return float(left.sum())
 
-        before, pairs = sum(straight.values()), list(combinations(scene.groups, 2))
-        if not pairs or before < LEAST_SWAPPED * sum(moved.values()):
+        before, pairs = float(straight.sum()), list(combinations(range(len(motions)), 2))
+        if not pairs or before < LEAST_SWAPPED * moved.sum():
             return ""
         best = min(pairs, key=leave)
         if leave(best) > BETTER * before:
             return ""
-        return f"{' and '.join(best)} swapped: each moves by what is sent to the other; exchange their cables"
+        names = " and ".join(motions[place].name for place in best)
+        return f"{names} swapped: each moves by what is sent to the other; exchange their cables"
 
-    def _list_causes(self, scene: Scene, motion: Fit) -> Iterator[str]:
+    def _list_causes(self, scene: Scene, place: int, motion: Fit) -> Iterator[str]:
         """Name what may be wrong with one coil, the likeliest first."""
-        name, gain = motion.name, f"gain {motion.gain_db:+.1f} dB"
+        gain = f"gain {motion.gain_db:+.1f} dB"
         if max(motion.gain_db, motion.level_db) < DEAD_DB or not motion.is_moving:
             yield f"dead ({motion.gain_db:.0f} dB); check its cable, its amplifier and its channel"
         if motion.sign < 0 and motion.left < FOLLOWS:
             yield "inverted: its wires were exchanged since the calibration"
-        noise = math.sqrt(0.3 * motion.noise / max(energy(scene.actual[name]), TINY))
-        if motion.distortion > math.hypot(self._distorts[name], noise):
-            yield self._find_bend(scene, motion)
+        noise = math.sqrt(0.3 * motion.noise / max(float(energy(scene.actual[place])), TINY))
+        if motion.distortion > math.hypot(self._distorts[place], noise):
+            yield _find_bend(scene, place, motion)
         is_off = abs(motion.gain_db) > self._settings.max_drift_db + SURE * motion.error_db
-        before_hz, damping = self._resonances[name][0], motion.damping
+        before_hz, damping = self._resonances[place][0], motion.damping
         now = f"resonance {before_hz:.0f} -> {before_hz * motion.resonance:.0f} Hz, damping x {damping:.2f}"
         if abs(motion.resonance - 1) > MOVED or abs(math.log(damping)) > DAMPED:
             yield (
@@ -408,24 +397,25 @@ class Diagnosis:
         if is_off:
             yield f"{gain}: its amplifier's knob, or its mounting"
 
-    def _find_bend(self, scene: Scene, motion: Fit) -> str:
-        """Name what bends a motion: an amplifier that clips what is sent, or anything else that rattles."""
-        name, told = motion.name, f"distortion of {motion.distortion:.0%}"
-        samples = {one.name: scene.sent[one.name] for one in scene.groups[name]}
-        peak = max(float(np.abs(one).max()) for one in samples.values())
 
-        def leave(share: float) -> float:
-            cut = {k: np.clip(one, -share * peak, share * peak) for k, one in samples.items()}
-            asked = scene.shift(scene.expect(name, cut), motion.lag)
-            along = abs(np.vdot(asked, scene.actual[name])) ** 2 / max(energy(asked), TINY)
-            return 1 - float(along) / max(energy(scene.actual[name]), TINY)
+def _find_bend(scene: Scene, place: int, motion: Fit) -> str:
+    """Name what bends a motion: an amplifier that clips what is sent, or anything else that rattles."""
+    told, actual = f"distortion of {motion.distortion:.0%}", scene.actual[place]
+    samples = {one.name: scene.sent[one.name] for one in scene.groups[place]}
+    peak = max(float(np.abs(one).max()) for one in samples.values())
 
-        best = min(np.geomspace(0.05, 0.97, 40), key=leave)
-        if leave(best) < BETTER * motion.distortion**2:
-            return f"clipping at {best * peak:.0%} of full scale, {told}; lower the level, or turn the amplifier up"
-        if motion.left > FOLLOWS:
-            return _describe_unknown([motion])
-        return f"rattle, {told}: something touches or is loose; fasten it"
+    def leave(share: float) -> float:
+        cut = {k: np.clip(one, -share * peak, share * peak) for k, one in samples.items()}
+        asked = scene.shift(scene.expect(place, cut), motion.lag)
+        along = abs(np.vdot(asked, actual)) ** 2 / np.maximum(energy(asked), TINY)
+        return 1 - float(along / np.maximum(energy(actual), TINY))
+
+    best = min(np.geomspace(0.05, 0.97, 40), key=leave)
+    if leave(best) < BETTER * motion.distortion**2:
+        return f"clipping at {best * peak:.0%} of full scale, {told}; lower the level, or turn the amplifier up"
+    if motion.left > FOLLOWS:
+        return _describe_unknown([motion])
+    return f"rattle, {told}: something touches or is loose; fasten it"
 
 
 def _describe_unknown(motions: Iterable[Fit]) -> str:

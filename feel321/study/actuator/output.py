@@ -8,35 +8,28 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from math import isnan
 from pathlib import Path
 from threading import Thread
 from time import perf_counter, sleep
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from feel321.files import make_folder, write_bytes
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.stimuli.wav import encode_wav
-from feel321.study.actuator.device import (
-    BlockTimes,
-    DeviceStream,
-    FileSink,
-    SessionClock,
-    SimulatedStream,
-    Sink,
-    Trigger,
-    join,
-    refresh_devices,
-)
+from feel321.study.actuator import device as devices
+from feel321.study.actuator.device import BlockTimes, FileSink, SessionClock, Sink
 from feel321.study.actuator.mixer import PREROLL_S, Cue, Frames, Mixer, Sounds
 from feel321.study.actuator.response import Sweep, find_slip
 from feel321.study.actuator.rig import Rig, advise_latency, identify, require_sensor
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
 from feel321.types import Samples
+
+if TYPE_CHECKING:
+    from feel321.study.actuator.delivered import DeliveryCheck
 
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
@@ -105,19 +98,7 @@ REVIVING_S = 8.0  # longest wait of a start for a dead device; it may well come 
 BEYOND_S = 5.0  # longest recording of the sensor beyond the stimulus; two latencies of 2 s fit in
 LOOK_S = 0.005  # between two looks at a sink that is waited for
 # Sinks by the name of the device; every other name is an audio device's.
-SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, SimulatedStream)}
-
-
-class Check(Protocol):
-    """What compares playbacks with what was asked: `DeliveryCheck`, which knows the stimuli."""
-
-    def diagnose(
-        self, sent: Frames, sensed: Frames | None, *, keeps_latency: bool
-    ) -> tuple[str, str]:
-        """Name what spoils a whole playback, or what is only to be told."""
-
-    def describe(self, stimulus_id: str, sensed: Frames | None) -> dict[str, float]:
-        """Describe what was delivered."""
+SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, devices.SimulatedStream)}
 
 
 class Output:
@@ -137,20 +118,19 @@ class Output:
         rate_hz: float,
         clock: SessionClock,
         folder: Path | None = None,
-        check: Check | None = None,
+        check: "DeliveryCheck | None" = None,
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
         self._check, self._name, self.identity = check, "", dict[str, Any]()
-        self._make_sink = SINKS.get(rig.device.name, DeviceStream)
-        self._is_file = self._make_sink is FileSink
-        self._preroll_s = 0.0 if self._is_file else PREROLL_S + 2 * rig.device.latency_s
+        self._make_sink = SINKS.get(rig.device.name, devices.DeviceStream)
+        self._preroll_s, room = PREROLL_S + 2 * rig.device.latency_s, None
+        if self._make_sink is FileSink:
+            self._preroll_s = 0.0
+        elif rig.sensor is not None:
+            longest = max(map(len, sounds.values()), default=0) + round(BEYOND_S * rate_hz)
+            room = np.zeros((longest, len(rig.sensor.channels)), dtype=np.float32)
+        self._room = room
         self._mixer = Mixer(rig, sounds, rate_hz=rate_hz, preroll_s=self._preroll_s)
-        self._trigger = Trigger(rig.trigger, clock) if rig.trigger is not None else None
-        self._room: Frames | None = None
-        if rig.sensor is not None and not self._is_file:
-            longest = max((len(sound) for sound in sounds.values()), default=0)
-            n_room = longest + round(BEYOND_S * rate_hz)
-            self._room = np.zeros((n_room, len(rig.sensor.channels)), dtype=np.float32)
         self._sink: Sink | None = None
         self._n_frames = self._n_dry = 0
         self._n_dry_before = -1  # a stream that was opened anew has not the certificate's latency
@@ -164,26 +144,23 @@ class Output:
     def open(self) -> None:
         """Open the sink, and wait until it runs steadily."""
         rig, rate_hz = self._rig, self._rate_hz
+        n_wanted = self._preroll_s * rate_hz
         for _ in range(N_OPENINGS):
-            self._n_frames, n_wanted = 0, self._preroll_s * rate_hz
+            self._n_frames = 0
             self._mixer.reset()
             sink = self._make_sink(rig, rate_hz=rate_hz, fill=self._fill, clock=self._clock)
             self._sink = sink
             for _ in range(round((OPENING_S + self._preroll_s) / LOOK_S)):
                 if self._n_frames >= n_wanted:
-                    break
+                    own = {"rate_hz": rate_hz, "channels": rig.n_channels}
+                    self.identity = {"rig": identify(rig), **sink.identity, **own}
+                    return
                 sleep(LOOK_S)
-            if self._n_frames >= n_wanted:
-                own = {"rate_hz": rate_hz, "channels": rig.n_channels}
-                self.identity = {"rig": identify(rig), **sink.identity, **own}
-                return
             self.close()
         raise OSError(f"device {sink.name!r} does not run; is it in use elsewhere?")
 
     def close(self) -> None:
         """Silence the sink and let it go."""
-        if self._trigger is not None:
-            self._trigger.leave()
         if self._sink is not None:
             self._sink.close()
         self._sink = None
@@ -213,13 +190,6 @@ class Output:
         )
         ahead_s = sink.compare_clocks()
         self._clock_ahead_s = self._clock_ahead_s if isnan(ahead_s) else ahead_s
-        if self._trigger is not None:
-            self._trigger.watch(partial(self._find_onset, take))
-
-    def _find_onset(self, take: Take) -> float | None:
-        if take.onset_s is None:
-            return None
-        return take.onset_s + self._clock_ahead_s + take.lead_frames / self._rate_hz
 
     @property
     def is_playing(self) -> bool:
@@ -249,31 +219,28 @@ class Output:
         if take is None:
             error = self._error or "nothing was started"
             return Playback(self._requested_s, None, completed=False, error=error)
-        self.captured, sha256 = self._capture(take), ""
+        self.captured = self._capture(take)
         underruns, is_completed = take.find_underruns(), take.is_complete and take.is_out
-        measured = self._measure(take, underruns)
+        measured, sha256, fault, notice = self._measure(take, underruns), "", "", ""
         if self.captured is not None and self._folder is not None:
             try:
-                number, sha256 = _write_numbered(self._folder, self.captured, self._rate_hz)
+                number, sha256 = self._write_numbered(self._folder, self.captured)
                 measured["file_number"] = float(number)
             except OSError as problem:
                 self._error = self._error or str(problem)
-        fault, notice, delivered = "", "", dict[str, float]()
-        is_whole = is_completed and not underruns and not take.n_sensor_gaps
-        if self._check is not None and is_whole:
+        delivered = dict[str, float]()
+        if self._check and is_completed and not underruns and not take.n_sensor_gaps:
             sensed = None if self._room is None else self.captured
             is_steady, self._n_dry_before = self._n_dry == self._n_dry_before, self._n_dry
             fault, notice = self._check.diagnose(take.sound, sensed, keeps_latency=is_steady)
             # At another level than the set's nothing is promised.
             delivered = self._check.describe(self._name, sensed) if take.scale == 1 else {}
-        if self._trigger is not None:
-            self._trigger.leave()
-            notice = notice or self._trigger.error  # the hand got what was asked
-            if self._trigger.sent_s is not None:
-                measured["trigger_s"] = self._trigger.sent_s
+        onset_s, lead_s = take.onset_s, take.lead_frames / self._rate_hz
+        if onset_s is not None:
+            onset_s = onset_s + self._clock_ahead_s + lead_s
         return Playback(
             requested_s=self._requested_s,
-            onset_s=self._find_onset(take),
+            onset_s=onset_s,
             underruns=len(underruns),
             clipped=take.clipped,
             completed=is_completed,
@@ -296,10 +263,18 @@ class Output:
         scale = np.float32(self._rig.sensor.full_scale_m_s2)
         return np.asarray(take.sensor[: take.n_sensed].T * scale)
 
+    def _write_numbered(self, folder: Path, samples: Frames) -> tuple[int, str]:
+        """Write samples to a WAV file with the next free number; returns that and the file's digest."""
+        make_folder(folder, private=True)
+        numbers = [int(path.stem) for path in folder.glob("*.wav") if path.stem.isdecimal()]
+        number, content = max(numbers, default=0) + 1, encode_wav(samples, self._rate_hz)
+        write_bytes(folder / name_delivered(number), content, private=True)
+        return number, hashlib.sha256(content).hexdigest()
+
     def _measure(self, take: Take, underruns: list[int]) -> dict[str, float]:
         own: dict[str, float | None] = {"n_samples": take.n_played}
         own["first_sample"] = take.first_frame or None
-        if not self._is_file:
+        if self._make_sink is not FileSink:
             own |= {
                 "callback_ms_max": take.longest_s * 1e3,
                 "latency_s": take.held_s,
@@ -334,7 +309,7 @@ class Output:
             # Looking for devices can hang as long as a sound server does; the session must not.
             self._opening = Thread(target=self._reopen, daemon=True)
             self._opening.start()
-        if not join(self._opening, patience_s=REVIVING_S):
+        if not devices.join(self._opening, patience_s=REVIVING_S):
             return f"device {self._rig.device.name!r} does not answer; check it, then resume"
         self._opening = None
         return self._opening_error
@@ -344,20 +319,11 @@ class Output:
         self._n_dry += 1
         self.close()
         try:
-            if self._make_sink is DeviceStream:
-                refresh_devices()
+            if self._make_sink is devices.DeviceStream:
+                devices.refresh_devices()
             self.open()
         except OSError as problem:
             self._opening_error = str(problem)
-
-
-def _write_numbered(folder: Path, samples: Frames, rate_hz: float) -> tuple[int, str]:
-    """Write samples to a WAV file with the next free number; returns that and the file's digest."""
-    make_folder(folder, private=True)
-    numbers = [int(path.stem) for path in folder.glob("*.wav") if path.stem.isdecimal()]
-    number, content = max(numbers, default=0) + 1, encode_wav(samples, rate_hz)
-    write_bytes(folder / name_delivered(number), content, private=True)
-    return number, hashlib.sha256(content).hexdigest()
 
 
 @contextmanager
@@ -427,14 +393,13 @@ class Bench:
 
     def play_sweep(self, sent: Samples, sweep: Sweep, channel: int) -> Samples:
         """Play sweeps, shape (n,), until their recordings are in step."""
-        return self.insist(
-            lambda: self.play({channel: sent}, n=len(sent)), lambda got: find_slip(got, sweep)
-        )
+        return self.insist({channel: sent}, lambda got: find_slip(got, sweep))
 
-    def insist(self, play: Callable[[], Samples], slip_of: Callable[[Samples], int]) -> Samples:
+    def insist(self, samples: Mapping[int, Samples], slip_of: Callable[[Samples], int]) -> Samples:
         """Play until nothing has slipped, a few times: a sound server may drop samples without saying so."""
+        n = max(map(len, samples.values()))
         for _ in range(N_TRIES):
-            recorded = play()
+            recorded = self.play(samples, n=n)
             if not (slip := slip_of(recorded)):
                 return recorded
         raise OSError(

@@ -5,15 +5,16 @@ reaches the hand as the vector sum of the coils' directions, each times its weig
 so that a stimulus of 1 m/s² reaches the hand as 1 m/s². A rig that gives no directions plays everything at weight 1.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from operator import itemgetter
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.doors import check_finite
+from feel321.arguments import check_finite
 from feel321.protocols.threshold import ThresholdBlock, name_tone
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.stimuli.wav import read_wav
@@ -22,7 +23,11 @@ from feel321.study.actuator.mixer import ROUNDING, WINDOW_S, Frames
 from feel321.study.actuator.rig import AXES, REDUCED, Rig
 from feel321.types import Samples as Vector
 
+if TYPE_CHECKING:
+    from feel321.study.settings.schema import Settings
+
 Mix = Mapping[str, Mapping[str, float]]
+Levels = NDArray[np.floating[Any]]
 
 EQUAL_DB = 0.5  # energies that differ by less count as equal
 CANCELLED = 0.05  # motions that sum to less than this share of one coil's cancel each other
@@ -37,8 +42,8 @@ def find_mix(rig: Rig) -> dict[str, dict[str, float]]:
         length = float(np.linalg.norm(np.sum([directions[name] for name in names], axis=0)))
         if names and length < CANCELLED:
             raise ValueError(
-                f"{' and '.join(map(repr, names))} play {source!r} in opposite directions and cancel each other; turn "
-                "one direction round, or let only one of them play it"
+                f"rig.toml: {' and '.join(map(repr, names))} play {source!r} in opposite directions and cancel each "
+                "other; turn one direction round, or let only one of them play it"
             )
         shares[source] = 1 / length if names else 1.0
     mix = {one.name: {source: shares[source] for source in one.plays} for one in rig.actuators}
@@ -155,22 +160,18 @@ def render_tones(
 
 
 def find_rig_problems(
-    rig: Rig,
-    stimuli: StimulusSet,
-    *,
-    rate_hz: float,
-    full_scale_m_s2: float,
-    certificate: Certificate | None = None,
-    sounds: dict[str, Frames] | None = None,
-) -> list[str]:
-    """Find what keeps a rig from playing a set as it is, in one line per problem; sounds: takes what was rendered."""
+    rig: Rig, stimuli: StimulusSet, settings: "Settings", *, certificate: Certificate | None = None
+) -> tuple[list[str], dict[str, Frames]]:
+    """Find what keeps a rig from playing a study as it is, in one line per problem; also returns what was rendered."""
+    own, block = settings.rig, settings.session.threshold
     problems: dict[str, list[str]] = {}
     excesses: dict[tuple[str, str], list[tuple[float, str]]] = {}
+    sounds: dict[str, Frames] = {}
+    choices: dict[str, Any] = {"full_scale_m_s2": own.full_scale_m_s2, "certificate": certificate}
+    find_mix(rig)  # which refuses coils that cancel each other
     for one in stimuli.stimuli:
         try:
-            rendered = render_stimulus(
-                one, stimuli.folder, rig, full_scale_m_s2=full_scale_m_s2, certificate=certificate
-            )
+            rendered = render_stimulus(one, stimuli.folder, rig, **choices)
         except ValueError as error:
             named, _, reason = str(error).partition(": ")
             problems.setdefault(reason, []).append(named)
@@ -179,24 +180,26 @@ def find_rig_problems(
             reason = error.strerror or str(error).removeprefix(f"{one.file}: ")
             problems.setdefault(f"{reason}; build the set again", []).append(one.file)
             continue
-        if one.rate_hz != rate_hz:
-            reason = f"got a rate of {one.rate_hz:g} Hz, the study plays at {rate_hz:g} Hz; build the set again"
+        if one.rate_hz != own.rate_hz:
+            reason = f"got a rate of {one.rate_hz:g} Hz, the study plays at {own.rate_hz:g} Hz; build the set again"
             problems.setdefault(reason, []).append(one.stimulus_id)
-        if sounds is not None:
-            sounds[one.stimulus_id] = rendered
+        sounds[one.stimulus_id] = rendered
         found = _find_excesses(rig, rendered, rate_hz=one.rate_hz, certificate=certificate)
         for actuator, limit, asked in found:
             excesses.setdefault((actuator, limit), []).append((-asked, one.stimulus_id))
-    lines = [f"{_shorten(names)}: {reason}" for reason, names in problems.items()]
+    lines = [f"rig.toml: {_shorten(names)}: {reason}" for reason, names in problems.items()]
     filters = " lower max_gain_db or narrow band_hz under [calibration] and calibrate again,"
     for (actuator, limit), above in sorted(excesses.items()):
         worst = sorted(above, key=itemgetter(0))
         names = _shorten([name for _, name in worst])
         lines.append(
-            f"actuator {actuator!r}: {names}: got {-worst[0][0]:.4g}, above {limit}; lower gain or headroom in "
-            f"study.toml and build again,{filters if certificate else ''} or raise the limit if the coil allows it"
+            f"rig.toml: actuator {actuator!r}: {names}: got {-worst[0][0]:.4g}, above {limit}; lower gain or headroom "
+            f"in study.toml and build again,{filters if certificate else ''} or raise the limit if the coil allows it"
         )
-    return lines
+    if block:
+        tones: dict[str, Any] = {"rate_hz": own.rate_hz, "certificate": certificate}
+        lines += find_tone_problems(block.make_block(), rig, **tones)
+    return lines, sounds
 
 
 def find_tone_problems(
@@ -204,34 +207,23 @@ def find_tone_problems(
 ) -> Iterator[str]:
     """Find what keeps a rig from playing the strongest tones of a threshold block, in one line per limit."""
     if not any(REDUCED in actuator.plays for actuator in rig.actuators):
-        yield f"no actuator plays {REDUCED}, which session.threshold needs; add it to `plays`"
-    strongest = 10 ** (block.plan.highest_db / 20)
-    worst: dict[tuple[str, str], float] = {}
+        yield f"rig.toml: no actuator plays {REDUCED}, which session.threshold needs; add it to `plays`"
+    strongest, worst = 10 ** (block.plan.highest_db / 20), dict[tuple[str, str], float]()
     for sound in render_tones(block, rig, rate_hz=rate_hz, certificate=certificate).values():
         loud = strongest * sound.astype(np.float64)
         found = _find_excesses(rig, loud, rate_hz=rate_hz, certificate=certificate)
-        for actuator, limit, asked in found:
-            worst[actuator, limit] = max(asked, worst.get((actuator, limit), 0.0))
+        for name, limit, asked in found:
+            worst[name, limit] = max(asked, worst.get((name, limit), 0.0))
     for (actuator, limit), asked in worst.items():
         key = "duration_s" if "duration_s" in limit else "highest_db"
         yield (
-            f"actuator {actuator!r}: the strongest tone of session.threshold will ask for {asked:.4g}, above {limit}; "
-            f"lower session.threshold.{key} in study.toml"
+            f"rig.toml: actuator {actuator!r}: the strongest tone of session.threshold will ask for {asked:.4g}, above "
+            f"{limit}; lower session.threshold.{key} in study.toml"
         )
 
 
-def slide_rms(samples: Vector, n_window: int) -> Vector:
-    """Compute the root mean square over every window of n_window samples, with silence before the samples."""
-    energy = np.concatenate([np.zeros(n_window), np.cumsum(samples**2)])
-    return np.asarray(np.sqrt(np.maximum(energy[n_window:] - energy[:-n_window], 0.0) / n_window))
-
-
 def _find_excesses(
-    rig: Rig,
-    rendered: NDArray[np.floating[Any]],
-    *,
-    rate_hz: float,
-    certificate: Certificate | None,
+    rig: Rig, rendered: Levels, *, rate_hz: float, certificate: Certificate | None
 ) -> Iterator[tuple[str, str, float]]:
     """Find where rendered samples, shape (n, channels), ask too much: actuator, limit, and what they ask."""
     limits, n_window = rig.limits, round(WINDOW_S * rate_hz)
@@ -246,7 +238,10 @@ def _find_excesses(
             motions = [coil.respond(samples, rate_hz=rate_hz)]
         motions = [samples * scale, *motions]
         peaks = [float(np.abs(one).max()) for one in motions]
-        rms = max(float(slide_rms(one, n_window).max()) for one in motions)
+        # The mean square over every window, with silence before the samples.
+        sums = np.cumsum(np.pad(np.square(motions), ((0, 0), (n_window, 0))), axis=1)
+        energy = np.max(sums[:, n_window:] - sums[:, :-n_window])
+        rms = math.sqrt(max(float(energy), 0.0) / n_window)
         for limit, asked, allowed in (
             (f"the actuator's {which}", peaks[0], scale),
             ("limits.peak_m_s2", max(peaks), limits.peak_m_s2),

@@ -14,6 +14,7 @@ from feel321.study.settings import fields
 
 FILE_DEVICE = "file"  # the name of the device that renders to WAV files
 SIMULATED_DEVICE = "simulated"  # the name of the device that `[simulation]` describes
+RATE_HZ = 48000.0  # at which a device is tried that belongs to no study
 REDUCED = "reduced"  # what an actuator plays of one-axis stimuli
 AXES = ("x", "y", "z")  # of three-axis stimuli, in the order of the channels of their files
 MARGIN = 0.9  # of limits and of the sensor's full scale, for what is foreseen
@@ -118,16 +119,6 @@ class SyncTable(fields.TomlTable):
     duration_s: Annotated[fields.Positive, Field(le=1)] = 0.005
 
 
-class TriggerTable(fields.TomlTable):
-    """`[trigger]`: a code on a parallel or serial port at the onset of each stimulus, and 0 after it."""
-
-    port: Annotated[str, fields.one_of(("parallel", "serial"))]
-    address: fields.Words
-    code: Annotated[int, Field(ge=1, le=255)] = 1
-    duration_s: Annotated[fields.Positive, Field(le=1)] = 0.01
-    baud: Annotated[int, Field(ge=300, le=4_000_000)] = 115_200
-
-
 def _check_band(band_hz: tuple[float, float]) -> tuple[float, float]:
     if not 0 < band_hz[0] < band_hz[1]:
         raise ValueError("must be two frequencies in Hz that rise, such as [20, 1000]")
@@ -174,7 +165,6 @@ class Rig(fields.TomlTable):
     masking: MaskingTable | None = None
     sensor: SensorTable | None = None
     sync: SyncTable | None = None
-    trigger: TriggerTable | None = None
     calibration: CalibrationTable = CalibrationTable()
     simulation: SimulationTable | None = None
     keys: KeysTable = USUAL
@@ -196,6 +186,10 @@ class Rig(fields.TomlTable):
 
 def read_rig(path: Path) -> Rig:
     """Read and check a `rig.toml`."""
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path}: there is none; feel321 new DIR writes one, copy it from there and name your actuators in it"
+        )
     rig = fields.parse_toml(path, Rig)
     uses: dict[int, list[str]] = {}
     for channel, use in rig.outputs():
@@ -251,9 +245,8 @@ def identify(rig: Rig) -> dict[str, Any]:
     settings = rig.model_dump(mode="json", exclude={"calibration", "keys"})
     if rig.sensor is not None:
         settings["sensor"] = rig.sensor.model_dump(mode="json", exclude_none=True)
-    for name in ("simulation", "trigger"):
-        if settings[name] is None:
-            del settings[name]
+    if settings["simulation"] is None:
+        del settings["simulation"]
     return settings
 
 

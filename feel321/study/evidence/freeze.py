@@ -18,9 +18,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321 import intake
-from feel321.analysis.report.standing import MODEL, Hypothesis, Standing, list_versions
-from feel321.doors import name_of
+from feel321.arguments import name_of
+from feel321.files import open_text
 from feel321.records import to_json_value
 from feel321.study.folder import Outcome
 from feel321.study.participants.roster import read_holder, read_sealed, write_sealed
@@ -33,6 +32,7 @@ from feel321.types import MetricInfo
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from feel321.analysis.report.standing import Hypothesis, Standing
     from feel321.study.folder import OpenStudy, StudyFolder
     from feel321.study.session.journal import Clock
     from feel321.study.settings.schema import Settings
@@ -72,7 +72,7 @@ def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, s
     former, settings = read_frozen(study), read_settings(study.settings)
     begun = [path.split("/")[1] for path, _ in _list_sessions(study)]
     if study.ratings.is_file():  # where the journals are gone
-        with intake.open_text(study.ratings) as file:
+        with open_text(study.ratings) as file:
             rows = csv.DictReader(file)
             begun += [row["participant"] for row in rows if row.get("simulated") == "false"]
     place = quote(str(study.path))
@@ -100,14 +100,10 @@ def report_frozen(lab: OpenStudy, *, show: bool) -> Outcome:
     from feel321.study.settings.read import read_settings
 
     study, path = lab.folder, lab.folder.path
-    if show:
-        frozen = read_frozen(study)
-        changes = {}
-        if frozen:
-            named = list_settings(study, read_settings(study.settings))
-            changes = find_changes(frozen.settings, named)
-    else:
-        frozen, changes = freeze_study(study, now=lab.now)
+    frozen, changes = (read_frozen(study), {}) if show else freeze_study(study, now=lab.now)
+    if show and frozen:
+        named = list_settings(study, read_settings(study.settings))
+        changes = find_changes(frozen.settings, named)
     faults = find_faults(study)
     for fault in faults:
         lab.say(fault)
@@ -126,6 +122,8 @@ def read_frozen(study: StudyFolder) -> Frozen | None:
     """Read the file, if there is one; one that is damaged or was edited is refused."""
 
     def make(entry: dict[str, Any]) -> Frozen:
+        from feel321.analysis.report.standing import Hypothesis
+
         sha256 = digest(json.dumps(entry, sort_keys=True))
         hypotheses = tuple(Hypothesis(**one) for one in entry.pop("hypotheses"))
         return Frozen(**entry, hypotheses=hypotheses, sha256=sha256)
@@ -138,6 +136,7 @@ def read_frozen(study: StudyFolder) -> Frozen | None:
 
 def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
     """List everything that counts by its dotted name, as JSON can hold it, in alphabetical order."""
+    from feel321.analysis.report.standing import MODEL, list_versions
     from feel321.protocols.tasks import digest_protocols
     from feel321.stimuli.sets.manifest import read_stimuli
     from feel321.study.settings.read import CONSENT, list_methods, make_recipe, read_study_texts
@@ -169,8 +168,9 @@ def list_settings(study: StudyFolder, settings: Settings) -> dict[str, Any]:
 
 def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
     """List the declared slopes: one for each scale and level on which stimuli are rated, and each metric."""
+    from feel321.analysis.report.standing import Hypothesis
     from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
-    from feel321.names import METRIC_INFO
+    from feel321.types import METRIC_INFO
 
     tasks = settings.list_tasks()
     scales = dict.fromkeys(name for task in tasks for name in (task.scales or (task.protocol,)))
@@ -185,7 +185,7 @@ def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:
     """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
-    from feel321.analysis.table.metrics import make_info
+    from feel321.analysis.table.columns import make_info
 
     facts = {name: table.to_facts() for name, table in settings.metrics.items()}
     declared = {one.name for one in fields(MetricInfo)}
@@ -272,6 +272,8 @@ def make_standing(
     own: bool = True,
 ) -> Standing:
     """Compare what is about to be analysed with the frozen file; own: whether the ratings are those of the study."""
+    from feel321.analysis.report.standing import Standing
+
     if not own and (study.path / FROZEN_FILE).exists():
         first = "These ratings come from elsewhere, so what the study froze does not hold for them"
         reason = "the ratings are not the study's own"

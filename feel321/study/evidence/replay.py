@@ -68,8 +68,11 @@ def _follow(paper: "_Paper", plan: Plan) -> None:
     state, is_open = "", False
     while paper.is_left:
         kind = events.find_kind(paper.truth[len(paper.records)].event)
-        if not issubclass(kind, events.REPAIRS):
-            _check_place(kind, state)
+        allowed, is_begun = _AFTER.get(state), kind is events.SessionBegun
+        is_misplaced = is_begun if allowed is None else not issubclass(kind, allowed)
+        if is_misplaced and not issubclass(kind, events.REPAIRS):
+            place = f"after {state!r}" if state else "first"
+            raise ValueError(f"holds {kind.event!r}, which cannot come {place}")
         if issubclass(kind, (events.SessionBegun, *_ANY)):
             event = paper.truth[len(paper.records)].content
             paper.take()
@@ -81,14 +84,7 @@ def _follow(paper: "_Paper", plan: Plan) -> None:
             kind, is_open = events.find_kind(paper.records[-1].event), False
         else:
             raise ValueError(f"holds {kind.event!r}, and the session was not opened again")
-        state = kind.event if kind.event in _AFTER or kind is events.SessionBegun else state
-
-
-def _check_place(kind: type[events.SessionEvent], state: str) -> None:
-    allowed = _AFTER.get(state)
-    if (kind is events.SessionBegun) if allowed is None else not issubclass(kind, allowed):
-        place = f"after {state!r}" if state else "first"
-        raise ValueError(f"holds {kind.event!r}, which cannot come {place}")
+        state = kind.event if kind.event in _AFTER or is_begun else state
 
 
 class _Over(Exception):  # noqa: N818 - nothing went wrong

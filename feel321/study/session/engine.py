@@ -108,9 +108,9 @@ class Session:
         """Take up the session where the journal leaves it."""
         plan, records = self.plan, self.journal.records
         self.flow, self.agenda = plan.flow, replay(plan, records)
+        self.detection = recall_detection(plan, records)
         self.trials = {trial.number: trial for trial in plan.trials}
         self.tasks = {task.protocol: task for task in plan.tasks}
-        self.detection = recall_detection(plan, records)
         self.matching = Matching(plan.matching, plan.trials) if plan.matching else None
         # Onsets are fixed from one trial to the next of a task; a page, a pause or an opening begins a new schedule.
         self._due_s: float | None = None

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 from pydantic_core import to_json
 
+from feel321.files import word_fault
 from feel321.protocols.trial import DEVICE_FLAGS, FLAGS, LOST, MATCHING, SPOILED, VALID
 
 if TYPE_CHECKING:
@@ -67,21 +68,18 @@ class SessionBegun(SessionEvent, event="begun"):
 
     def __post_init__(self) -> None:
         """Refuse what would be no presenter, rig or certificate to whoever reads it."""
-        presenter = _find_object(self.identity, "presenter")
-        if presenter.get("simulated", False) not in {True, False}:
-            raise ValueError(f"presenter.simulated must be true or false, got {presenter!r}")
-        _find_object(_find_object(presenter, "rig"), "sensor")
-        if not isinstance(self.identity.get("calibration"), str):
-            certificate = _find_object(self.identity, "calibration")
-            if certificate and not isinstance(certificate.get("id"), str):
-                raise ValueError(f"calibration must have a text as its id, got {certificate!r}")
-
-
-def _find_object(entry: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    value = entry.get(name)
-    if value is None or isinstance(value, dict):
-        return value or {}
-    raise ValueError(f"{name} must be an object, got {value!r}")
+        entry: Any = self.identity
+        for name in ("presenter", "rig", "sensor"):
+            entry = {} if entry.get(name) is None else entry[name]
+            is_object = isinstance(entry, dict)
+            if not is_object:
+                raise ValueError(f"{name} must be an object, got {entry!r}")
+            if name == "presenter" and entry.get("simulated", False) not in {True, False}:
+                raise ValueError(f"presenter.simulated must be true or false, got {entry!r}")
+        own = self.identity.get("calibration")
+        is_named = isinstance(own.get("id") if isinstance(own, dict) else own, str)
+        if own not in (None, {}) and not is_named:
+            raise ValueError(f"calibration must have a text as its id, got {own!r}")
 
 
 class SessionResumed(SessionEvent, event="resumed"):
@@ -258,17 +256,13 @@ class PartEvent(AttemptEvent):
     part: str
 
 
+SPARSE = ("measured", "dac_source", "delivered", "delivered_sha256", "fault", "notice")
+
+
 class PartPlayed(Played, PartEvent, event="played"):
     """A stimulus was played."""
 
-    optional = frozenset((
-        "measured",
-        "dac_source",
-        "delivered",
-        "delivered_sha256",
-        "fault",
-        "notice",
-    ))
+    optional = frozenset(SPARSE)
 
 
 class SurfaceStroked(PartPlayed, event="prompted"):
@@ -357,16 +351,9 @@ def read_event(name: str, data: Mapping[str, Any]) -> SessionEvent:
         # By JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
         event: SessionEvent = make_adapter(kind).validate_json(to_json(data), strict=True)
     except (TypeError, ValueError) as error:
-        reason = describe_fault(error)
+        reason = word_fault(error) if isinstance(error, ValueError) else error
         raise ValueError(f"is not a {name!r} record as feel321 writes it ({reason})") from None
     return event
-
-
-def describe_fault(error: Exception) -> str:
-    """Describe why an entry was refused: the first fault of pydantic's list, or the error itself."""
-    listed: Any = getattr(error, "errors", list)()
-    faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in listed]
-    return [*faults, str(error)][0]
 
 
 # What became of an attempt, and why: one model for the engine, the participant's page, status and analysis.
@@ -446,8 +433,7 @@ class Attempt:
         """Describe for the experimenter by what the device lost the attempt."""
         causes = {*flow.reject, *UNANSWERABLE}
         found = [find_faults(part, flow).items() for part in self.parts.values()]
-        words = [words for faults in found for flag, words in faults if flag in causes]
-        return "; ".join(dict.fromkeys(words))
+        return "; ".join(dict.fromkeys(w for one in found for flag, w in one if flag in causes))
 
 
 def find_loss(delivered: Mapping[str, float], flow: Flow) -> str:

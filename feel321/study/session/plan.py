@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from annotated_types import Interval
 
-from feel321.files import create_text
+from feel321.files import create_text, word_fault
 from feel321.protocols import order as orders
 from feel321.protocols import threshold as blocks
 from feel321.protocols import trial as trials_of
@@ -26,7 +26,7 @@ from feel321.protocols.agenda import Agenda
 from feel321.protocols.tasks import digest_protocols, is_as_expected
 from feel321.protocols.texts import PREFIX, Question
 from feel321.protocols.threshold import Detection, MatchingBlock, ThresholdBlock
-from feel321.protocols.trial import THRESHOLD, VALID, Flow, Item, Task, Trial, Trials
+from feel321.protocols.trial import VALID, Flow, Item, Task, Trial, Trials
 from feel321.stimuli.sets.manifest import find_methods
 from feel321.study.own_protocols import require_protocols
 from feel321.study.session import events
@@ -191,7 +191,7 @@ def _read_plan(content: bytes, path: Path) -> Plan:
     try:
         plan: Plan = events.make_adapter(Plan).validate_json(text, strict=True, extra="forbid")
     except (ValueError, AttributeError, RecursionError) as error:
-        reason = events.describe_fault(error)
+        reason = word_fault(error) if isinstance(error, ValueError) else error
         raise ValueError(
             f"{path}: not a plan as this version writes it ({reason}); use the feel321 that wrote it"
         ) from None
@@ -256,15 +256,15 @@ def read_as_written(path: Path) -> Iterator[None]:
 STEPS = {"page", "answered", "rated", "spoiled", "warm_up"}  # events that change what comes next
 
 
-def replay(plan: Plan, records: Iterable[Record]) -> Agenda:
-    """Make the agenda of a session as its journal leaves it."""
+def replay(plan: Plan, records: Iterable[Record], *, detection: Detection | None = None) -> Agenda:
+    """Make the agenda of a session as its journal leaves it; detection: learns what was detected."""
     agenda = Agenda(plan.trials, plan.flow, plan.questions)
     trials = {trial.number: trial for trial in plan.trials}
     for record in records:
         if record.event in STEPS:
             event = record.content
             try:
-                advance(agenda, event, trials)
+                advance(agenda, event, trials, detection=detection)
             except ValueError as error:
                 raise ValueError(f"line {record.sequence + 1}: {error}") from None
     return agenda
@@ -272,13 +272,9 @@ def replay(plan: Plan, records: Iterable[Record]) -> Agenda:
 
 def recall_detection(plan: Plan, records: Iterable[Record]) -> Detection | None:
     """Make the threshold block of a session as its journal leaves it; None where there is none."""
-    if plan.threshold is None:
-        return None
-    detection = Detection(plan.threshold)
-    trials = {trial.number: trial for trial in plan.trials if trial.phase == THRESHOLD}
-    for rated in Records(records).find(events.TrialRated):
-        if rated.trial in trials and not rated.rejected:
-            detection.tell(trials[rated.trial], rated.values)
+    detection = Detection(plan.threshold) if plan.threshold else None
+    if detection:
+        replay(plan, records, detection=detection)
     return detection
 
 

@@ -13,11 +13,9 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from feel321 import intake
-from feel321.doors import describe, name_of, refuse_name
+from feel321.arguments import describe, name_of, refuse_name
 from feel321.extensions import FORMS, Method, find_method, is_given, list_entry_points
-from feel321.files import create_text, make_folder, temporary_folder, write_text
-from feel321.names import ANCHOR_NAMES, METRIC_INFO, WRITTEN
+from feel321.files import create_text, make_folder, read_small, temporary_folder, write_text
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import read_texts
 from feel321.protocols.threshold import MatchingBlock
@@ -40,7 +38,7 @@ from feel321.stimuli.sets.recipe import (
 from feel321.study import own_protocols
 from feel321.study.folder import SETTINGS_FILE, TEMPLATES, StudyFolder
 from feel321.study.session.journal import digest
-from feel321.study.session.opening import identify_frozen
+from feel321.study.session.opening import flatten, identify_frozen
 from feel321.study.session.plan import Design
 from feel321.study.session.ports import Surface
 from feel321.study.settings.fields import parse_toml
@@ -52,7 +50,7 @@ from feel321.study.settings.schema import (
     Settings,
     TaskTable,
 )
-from feel321.types import Metric, Reducer
+from feel321.types import ANCHOR_NAMES, METRIC_INFO, WRITTEN, Metric, Reducer
 
 CONSENT = "consent"  # the page whose text a lab can set by itself
 
@@ -136,7 +134,7 @@ def _make_plain(name: str, value: object) -> Any:  # noqa: ANN401 - whatever TOM
 def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
     """Change settings in a `study.toml`, which is left as it is if a setting is refused."""
     read_settings(path)
-    before = intake.read_small(path)
+    before = read_small(path)
     newline = "\r\n" if "\r\n" in before else "\n"
     text = change_settings(before.replace("\r\n", "\n"), changes).replace("\n", newline)
     with temporary_folder() as folder:
@@ -160,7 +158,7 @@ def add_methods(study: StudyFolder) -> None:
         "stimuli.metrics": ["snr"],
         "session.protocols": ["realism", "similarity", "methods/roughness.py:roughness"],
     }
-    text = change_settings(intake.read_small(study.settings), changes)
+    text = change_settings(read_small(study.settings), changes)
     tables = (TEMPLATES / "methods" / "tables.toml").read_text(encoding="utf-8")
     write_text(study.settings, text + tables)
 
@@ -405,10 +403,14 @@ def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | No
     built = read_details(folder)
     origins = {row.get("recording", ""): row.get("recording_sha256", "") for row in built.stimuli}
     wanted, own = json.loads(json.dumps([describe_recipe(recipe), render.list_methods(recipe)]))
-    changes = list(_compare_recipes(built.recipe, wanted))
-    # The lab's own methods, and further metrics, are there where there are any.
-    methods = {kind: getattr(built, kind) for kind in ("reducers", "metrics")}
-    changes += _compare_recipes({kind: one for kind, one in methods.items() if one}, own)
+    methods = {"reducers": built.reducers, "metrics": built.metrics}
+    old = dict([*flatten(built.recipe), *flatten(methods)])
+    new = dict([*flatten(wanted), *flatten(own)])
+    changes = [
+        f"{name}: built with {json.dumps(old.get(name))}; the settings say {json.dumps(new.get(name))}"
+        for name in sorted(old | new)
+        if old.get(name) != new.get(name)
+    ]
     if set(origins) != set(recordings):
         was, named = (", ".join(sorted(names)) for names in (origins, recordings))
         changes.append(f"recordings: built from {was}; the settings name {named}")
@@ -418,17 +420,6 @@ def find_changes(folder: Path, recipe: Recipe, recordings: Mapping[str, str | No
         if sha256 is not None and origins.get(name, sha256) != sha256
     ]
     return [f"{folder}: {change}" for change in changes]
-
-
-def _compare_recipes(
-    built: Mapping[str, Any], wanted: Mapping[str, Any], *, table: str = ""
-) -> Iterator[str]:
-    for key in sorted({*built, *wanted}):
-        old, new = built.get(key), wanted.get(key)
-        if isinstance(old, dict) and isinstance(new, dict):
-            yield from _compare_recipes(old, new, table=f"{table}{key}.")
-        elif old != new:
-            yield f"{table}{key}: built with {json.dumps(old)}; the settings say {json.dumps(new)}"
 
 
 # Settings that do not go together, though each is allowed by itself.

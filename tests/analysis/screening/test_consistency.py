@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.consistency import find_apart, rater_model
+from feel321.analysis.agreement import find_apart, rater_model
 
 PEOPLE = [f"p{number:02d}" for number in range(20)]
 

@@ -23,7 +23,7 @@ from feel321.study.actuator.certificate import (
     list_certificates,
     write_certificate,
 )
-from feel321.study.actuator.device import BLOCK_FRAMES, Hardware, SimulatedCoil, SimulatedStream
+from feel321.study.actuator.device import BLOCK_FRAMES, Hardware, SimulatedCoil
 from feel321.study.actuator.response import Sweep, find_slip, make_sweep, measure_sweep
 from feel321.study.actuator.rig import CoilTable, Rig, advise_latency, read_rig
 from feel321.study.cli import main
@@ -143,14 +143,14 @@ def test_no_sweep_passes_limits_or_sensor(
 ) -> None:
     """A coil that resonates by 18 dB is driven so much less; what it does is taken from the simulated hardware."""
     highest: list[float] = []
-    before = SimulatedStream._serve
+    before = Hardware.sense
 
-    def watch(stream: Any) -> None:
-        before(stream)
-        if stream._sensed is not None:
-            highest.append(float(np.linalg.norm(stream._sensed, axis=1).max()) * 200)
+    def watch(hardware: Hardware, out: Any) -> Any:
+        sensed = before(hardware, out)
+        highest.append(float(np.linalg.norm(sensed, axis=1).max()) * 200)
+        return sensed
 
-    monkeypatch.setattr(SimulatedStream, "_serve", watch)
+    monkeypatch.setattr(Hardware, "sense", watch)
     found = calibrate(alter(rig, "limits", peak_m_s2=20.0, rms_m_s2=20.0), tmp_path)
     assert 15 < max(highest) < 20.2
     assert found.coils["left coil"].levels[-1] < 0.1
@@ -422,7 +422,7 @@ def test_gain_and_band_that_are_proposed_flatten_ordinary_coils(
 def test_what_is_proposed_and_what_it_costs_is_said_before_it_is_written(
     rig: Rig, certificate: Certificate, smallest: Any, capsys: Any
 ) -> None:
-    from feel321.study.actuator.verbs import agree
+    from feel321.study.actuator.calibrate import agree
 
     assert agree(smallest, rig, certificate)
     left, _, strongest, weakest = capsys.readouterr().err.splitlines()

@@ -5,7 +5,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
-from time import perf_counter, sleep
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,14 +18,11 @@ from feel321.study.actuator.device import (
     BlockTimes,
     Device,
     DeviceStream,
-    Trigger,
-    check_channels,
-    find_device,
+    find_devices,
     list_devices,
-    open_port,
 )
 from feel321.study.actuator.output import SENSOR_TAIL_S, Output, Take
-from feel321.study.actuator.rig import ActuatorTable, DeviceTable, Rig, SensorTable, TriggerTable
+from feel321.study.actuator.rig import ActuatorTable, DeviceTable, Rig, SensorTable
 
 LIMITS: Any = {"peak_m_s2": 100, "rms_m_s2": 100, "duration_s": 60}
 COILS = Device(0, "USB Audio: coils (hw:1,0)", "ALSA", 4, 0)
@@ -58,21 +54,24 @@ MICROPHONE = Device(3, "microphone", "ALSA", 0, 2)
 def test_a_device_is_the_one_that_is_named_and_no_other(
     devices: Sequence[Device], name: str, host_api: str | None, found: Device | str
 ) -> None:
+    device = DeviceTable().model_copy(update={"name": name, "host_api": host_api})
+    rig = Rig(limits=LIMITS).model_copy(update={"device": device})
     if isinstance(found, Device):
-        assert find_device(devices, name, host_api=host_api) == found
+        assert find_devices(rig, devices) == (found, found)
         return
     with pytest.raises(OSError, match=found):
-        find_device(devices, name, host_api=host_api)
+        find_devices(rig, devices)
 
 
 def test_every_channel_that_the_rig_names_has_to_be_there() -> None:
-    third = Rig(limits=LIMITS, actuators=(ActuatorTable(name="third", channel=3),))
-    check_channels(third, COILS, COILS)
+    own = {"limits": LIMITS, "device": DeviceTable(name="coils")}
+    third = Rig(**own, actuators=(ActuatorTable(name="third", channel=3),))
+    find_devices(third, [COILS])
     with pytest.raises(OSError, match=r"'coils' has 2 output channel\(s\), the rig needs 3; take"):
-        check_channels(third, PAIR, PAIR)
-    sensing = Rig(limits=LIMITS, sensor=SensorTable(channels=(2, 1, 1), full_scale_m_s2=9))
+        find_devices(third, [PAIR])
+    sensing = Rig(**own, sensor=SensorTable(channels=(2, 1, 1), full_scale_m_s2=9))
     with pytest.raises(OSError, match=r"has 1 input channel\(s\), the rig needs 2"):
-        check_channels(sensing, PAIR, PAIR)
+        find_devices(sensing, [PAIR])
 
 
 @pytest.mark.parametrize(
@@ -141,56 +140,6 @@ def test_the_sensor_is_kept_from_the_onsets_frame_until_the_ringing_is_over(
         take.sensor[: take.n_sensed, 0], np.arange(230, (out + 1) * N if last is None else last)
     )
     assert last is not None or take.n_sensed >= 150 + (DELAY_S + SENSOR_TAIL_S) * TAKE_HZ
-
-
-class Port:
-    """A port that remembers what was sent to it."""
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self.sent: list[tuple[int, float]] = []
-        self.clock = clock
-
-    def __call__(self, code: int) -> None:
-        self.sent.append((code, self.clock()))
-
-
-def test_a_trigger_is_sent_at_the_onset_and_taken_back(monkeypatch: pytest.MonkeyPatch) -> None:
-    port = Port(perf_counter)
-    monkeypatch.setattr("feel321.study.actuator.device.open_port", lambda _: port)
-    table = TriggerTable(port="serial", address="COM3", code=7, duration_s=0.02)
-    trigger, onset_s = Trigger(table, perf_counter), perf_counter() + 0.05
-    known = iter([None, None])
-    trigger.watch(lambda: next(known, onset_s))
-    while trigger.sent_s is None:
-        sleep(0.001)
-    sleep(0.05)
-    trigger.leave()
-    (code, first_s), (none, second_s) = port.sent
-    assert (code, none, trigger.error) == (7, 0, "")
-    assert 0 <= first_s - onset_s < 0.02
-    assert second_s - first_s >= 0.02
-    trigger.watch(lambda: None)
-    trigger.leave()
-    assert trigger.sent_s is None  # it never began
-
-
-def test_a_port_that_hangs_holds_up_no_session(monkeypatch: pytest.MonkeyPatch) -> None:
-    hangs = Event()
-    monkeypatch.setattr("feel321.study.actuator.device.open_port", lambda _: lambda _: hangs.wait())
-    monkeypatch.setattr("feel321.study.actuator.device.CLOSING_S", 0.05)
-    trigger = Trigger(TriggerTable(port="serial", address="COM3"), perf_counter)
-    for _ in range(2):
-        trigger.watch(perf_counter)
-        sleep(0.01)
-        trigger.leave()
-        assert (trigger.sent_s, trigger.error) == (None, "trigger on COM3: the port takes nothing")
-    hangs.set()
-
-
-def test_a_port_that_does_not_open_is_one_line() -> None:
-    with pytest.raises(OSError, match="trigger: serial port /nowhere does not open") as refusal:
-        open_port(TriggerTable(port="serial", address="/nowhere"))
-    assert "\n" not in str(refusal.value)
 
 
 # A stream that asks for a block whenever a test says so.
@@ -405,8 +354,8 @@ def test_a_device_that_hangs_does_not_hang_the_session(
     stream.active = False
     answers = Event()
     monkeypatch.setattr("feel321.study.actuator.output.REVIVING_S", 0.05)
-    monkeypatch.setattr("feel321.study.actuator.output.refresh_devices", answers.wait)
-    monkeypatch.setattr("feel321.study.actuator.output.join", wait_for)
+    monkeypatch.setattr("feel321.study.actuator.device.refresh_devices", answers.wait)
+    monkeypatch.setattr("feel321.study.actuator.device.join", wait_for)
     output.start("a", gap_s=0.0)
     assert not output.is_playing
     assert "does not answer" in output.collect().error

@@ -6,6 +6,7 @@ How strongly is compared with brute force: the hand's acceleration, sample by sa
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -110,7 +111,11 @@ def test_what_nobody_plays_is_refused(
 
 def problems(folder: Path, stimuli: list[Stimulus], rig: Rig) -> list[str]:
     played = StimulusSet(folder, tuple(stimuli), "")
-    return find_rig_problems(rig, played, rate_hz=RATE, full_scale_m_s2=100.0)
+    own = SimpleNamespace(rate_hz=RATE, full_scale_m_s2=100.0)
+    settings: Any = SimpleNamespace(rig=own, session=SimpleNamespace(threshold=None))
+    lines, _ = find_rig_problems(rig, played, settings)
+    assert all(line.startswith("rig.toml: ") for line in lines)
+    return [line.removeprefix("rig.toml: ") for line in lines]
 
 
 LOUD = {
@@ -236,7 +241,8 @@ def test_coils_that_cancel_each_other_are_refused() -> None:
         limits=LIMITS,
     )
     with pytest.raises(
-        ValueError, match=r"\A'a' and 'b' play 'reduced' in opposite directions and cancel"
+        ValueError,
+        match=r"\Arig.toml: 'a' and 'b' play 'reduced' in opposite directions and cancel",
     ):
         find_mix(rig)
 

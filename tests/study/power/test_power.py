@@ -10,7 +10,6 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.power.design import SIZES
-from feel321.jobs import ALONE
 from feel321.study import cli, power
 from feel321.study.folder import StudyFolder, create_study
 from feel321.study.power import PowerTask, StudyPower
@@ -23,7 +22,7 @@ GRID = ["--participants", "6,12", "--recordings", "4,8", "--reducers", "5", "--r
 
 def plan(task: PowerTask, **more: Any) -> StudyPower:
     sizes = {name: more.pop(name) for name in SIZES if name in more}
-    options = {"studies": 0, "workers": ALONE, "progress": lambda _d, _a: None, **more}
+    options = {"studies": 0, "workers": 1, "progress": lambda _d, _a: None, **more}
     return power.plan_study(task, sizes, **options)
 
 
