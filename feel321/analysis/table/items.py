@@ -230,8 +230,8 @@ def name_stimuli(ratings: DataFrame) -> DataFrame:
         return ratings
     if {"recording", "reducer"} <= set(ratings):
         parts = ratings[[name for name in NAMING if name in ratings]]
-        first, *others = (parts[name].astype(str) for name in parts)
-        names = first.str.cat(others, sep="/")
+        written = parts.astype(str)
+        names = written.iloc[:, 0].str.cat(written.iloc[:, 1:], sep="/")
         return ratings.assign(**{STIMULUS: names.where(parts.notna().all(axis=1))})
     spoken = next((name for name in SPOKEN if name in ratings), None)
     return ratings.assign(**{STIMULUS: ratings[spoken]}) if spoken else ratings
