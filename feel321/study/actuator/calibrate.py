@@ -454,10 +454,8 @@ def calibrate_rig(
             del coil[name]
     for failure in certificate.failures:
         lab.say(failure)
-    verdict = (
-        f"{'passed' if passed else 'did not pass'}; valid until {certificate.expires_utc[:10]}"
-    )
-    line = f"certificate {certificate.id} ({certificate.method}): {verdict}"
+    verdict, until = "passed" if passed else "did not pass", certificate.expires_utc[:10]
+    line = f"certificate {certificate.id} ({certificate.method}): {verdict}; valid until {until}"
     return Outcome(facts, [line, *format_facts(facts["coils"])], failed=not passed)
 
 

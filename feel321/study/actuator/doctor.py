@@ -195,9 +195,8 @@ def find_fault(
     rig: Rig, actuator: ActuatorTable, seen: Response | None, *, recorded: Samples, sent: Samples
 ) -> str:
     """Name what is wrong with a coil that has no certificate, by what its probe moved."""
-    fault = faults.find_sensor_fault(
-        recorded, full_scale_m_s2=rigs.require_sensor(rig).full_scale_m_s2
-    )
+    full_scale_m_s2 = rigs.require_sensor(rig).full_scale_m_s2
+    fault = faults.find_sensor_fault(recorded, full_scale_m_s2=full_scale_m_s2)
     if fault or seen is None:
         return fault
     probe = _describe(seen)
