@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, Self
 
+import numpy as np
+
 from feel321.arguments import Registry, check_name
 from feel321.types import Number
 
@@ -36,8 +38,6 @@ class Result:
         return [(field.name, getattr(self, field.name)) for field in fields]
 
     def _list_scalars(self) -> list[tuple[str, Any]]:
-        import numpy as np
-
         kinds = bool | int | float | str | np.generic
         return [(name, entry) for name, entry in self._list_fields() if isinstance(entry, kinds)]
 
@@ -62,8 +62,6 @@ class Result:
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""
-        import numpy as np
-
         known = [
             (name, f"{value:.4g}" if isinstance(value, float | np.floating) else repr(value))
             for name, value in self._list_scalars()
@@ -166,8 +164,6 @@ def to_json_value(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
 
 
 def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
-    import numpy as np
-
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -239,9 +235,8 @@ class PaperClaim:
         check_name(self.measure, MEASURES, "measure")
         value, low, high = self.paper
         if self.expect == "near" and not math.isfinite(low + high):
-            raise ValueError(
-                "must give the paper's low and high where it expects near; add paper = { low = ..., high = ... }"
-            )
+            must = "must give the paper's low and high where it expects near"
+            raise ValueError(f"{must}; add paper = {{ low = ..., high = ... }}")
         known = [one for one in (low, value, high) if not math.isnan(one)]
         if math.isnan(low) != math.isnan(high) or known != sorted(known):
             rule = "must have a value, or low and high, or all three in that order"
@@ -257,7 +252,7 @@ def _check_options(options: Mapping[str, str | tuple[str, ...]]) -> None:
     for name, own in options.items():
         check_name(name, OPTIONS, "options")
         if name != "metrics" and isinstance(own, str) == (name == "among"):
-            must = "a list of names" if name == "among" else "a text"
-            raise ValueError(f"options.{name} must be {must}, got {own!r}")
+            what = "a list of names" if name == "among" else "a text"
+            raise ValueError(f"options.{name} must be {what}, got {own!r}")
         if not all(text.strip() for text in ((own,) if isinstance(own, str) else own)):
             raise ValueError(f"options.{name} must not be empty; fill it in")

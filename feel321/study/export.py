@@ -17,8 +17,7 @@ import pandas as pd
 from feel321 import __version__
 from feel321.analysis.export import export_r
 from feel321.analysis.report.folder import METHODS
-from feel321.analysis.table.dictionary import describe_column
-from feel321.analysis.table.metrics import gather_info
+from feel321.analysis.table.columns import describe_column, gather_info
 from feel321.files import (
     digest_file,
     make_folder,

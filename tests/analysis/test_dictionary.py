@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.report.folder import write_flags
-from feel321.analysis.table.dictionary import describe_column, make_dictionary, read_dictionary
+from feel321.analysis.table.columns import describe_column, make_dictionary, read_dictionary
 from feel321.analysis.tradeoff.measure import COLUMNS as TRADEOFF
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.participants.answers import COLUMNS as ANSWERS

@@ -185,7 +185,7 @@ def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:
     """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
-    from feel321.analysis.table.metrics import make_info
+    from feel321.analysis.table.columns import make_info
 
     facts = {name: table.to_facts() for name, table in settings.metrics.items()}
     declared = {one.name for one in fields(MetricInfo)}
