@@ -63,6 +63,7 @@ VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
+COMPLETION = "--install-completion"
 LONGEST = 1000  # letters of a line of an error
 # Switches that every verb has, in any place.
 SWITCHES = {"-q": "quiet", "--quiet": "quiet", "--traceback": "traceback"}
@@ -140,6 +141,8 @@ def _call(words: Sequence[str]) -> int:
     elif words[0] in VERBS and "--help" in words:
         echo(describe_verb(words[0]))
     else:
+        if words[0] == COMPLETION:  # costs time to import
+            APP.register_install_completion_command(COMPLETION, show=False)
         return int(APP(words) or DONE)
     return DONE
 
@@ -353,7 +356,6 @@ APP = App(
 )
 for _verb in VERBS:
     APP.command(make_verb(_verb), name=_verb)
-APP.register_install_completion_command(show=False)
 
 
 ABOUT = (
@@ -375,7 +377,7 @@ def read_doc(verb: str) -> str:
 
 def describe_program() -> str:
     """Describe the program: its verbs by group."""
-    completion = ("--install-completion", "Let this shell complete verbs and options.")
+    completion = (COMPLETION, "Let this shell complete verbs and options.")
     options = [("--version", "Show the version."), completion, *EVERYWHERE]
     lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(ABOUT)]
     lines += ["", "Options:", *_format_rows(options)]
