@@ -177,7 +177,7 @@ class StudyFolder:
         *,
         is_optional: bool = False,
     ) -> Path:
-        """Write a table that was derived from sessions, for whoever may read these; is_optional: if it has or had rows."""
+        """Write a table derived from sessions, for whoever may read these; is_optional: if it has or had rows."""
         path = self.path / name
         if rows or not is_optional or path.exists():
             write_table(path, columns, rows, private=True)
