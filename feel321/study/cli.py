@@ -29,9 +29,17 @@ from cyclopts.annotations import resolve_optional
 from cyclopts.exceptions import MissingArgumentError
 
 from feel321 import __version__, files, intake
-from feel321.doors import clean_text
+from feel321.doors import as_path, clean_text
 from feel321.study import options, verbs
-from feel321.study.folder import SETTINGS_FILE, Outcome, StudyFolder, UsageError, require_study
+from feel321.study.folder import (
+    SETTINGS_FILE,
+    Outcome,
+    StudyFolder,
+    UsageError,
+    create_study,
+    read_template,
+    require_study,
+)
 from feel321.study.study import Study
 from feel321.study.terminal import CALL, Call, cap, dump_json, echo, wants_bar, warn
 
@@ -186,6 +194,7 @@ def _complain(message: str, *, code: int) -> int:
 # The verbs, each made of a method of `Study`, or of a function where there need be no study. Options come from the
 # signature, read as `options` says, help from the docstring; what is returned is printed.
 
+DEMO_PARTICIPANTS = 16
 PER_FILE = 10  # findings of one file that are printed; the others are counted
 
 NAMED = partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
@@ -205,9 +214,45 @@ def open_study(name: str, path: Path) -> Study:
     return Study(StudyFolder(path), wants_bar(), warn=warn)
 
 
+def demo(*, out: options.Target = Path("demo-study")) -> None:
+    """Run a whole study with simulated participants.
+
+    Example: feel321 demo --out demo-study
+
+    Parameters
+    ----------
+    out : str or path
+        Folder of the study.
+    """
+    from feel321.study.observer import NUMBERED
+
+    folder = StudyFolder(as_path(out))
+    if not folder.path.exists() or not any(folder.path.iterdir()):
+        create_study(folder.path)
+    # What is anything but the demonstration is left alone.
+    people = [entry.name for entry in folder.participants if not NUMBERED.fullmatch(entry.name)]
+    refusal = ""
+    if not folder.settings.is_file():
+        refusal = f"{folder.path}: holds files that demo did not write"
+    elif intake.read_small(folder.settings) != read_template():
+        refusal = f"{folder.settings}: edited, or written by another version of feel321"
+    elif people:
+        refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"
+    if refusal:
+        raise FileExistsError(f"{refusal}; name another folder with --out")
+    study = Study(folder, wants_bar(), warn=warn)
+    stimuli = study.build()
+    echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
+    rows = study.simulate(DEMO_PARTICIPANTS).to_dict()["ratings"]
+    echo(f"{folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
+    study.analyze()
+    echo(folder.report / "index.html")
+
+
 def make_verb(name: str) -> Callable[..., int]:
     """Make a verb of what has its name: a function whose arguments are those of a command line, and its exit code."""
-    do: Callable[..., Any] = getattr(Study, name, None) or getattr(verbs, name)
+    homes = (Study, verbs, SimpleNamespace(demo=demo))
+    do: Callable[..., Any] = next(getattr(one, name) for one in homes if hasattr(one, name))
     parameters = _list_parameters(do)
     if name not in WORDY and inspect.signature(do).return_annotation != "None":
         parameters.append(NAMED("as_json", default=False, annotation=Json))
