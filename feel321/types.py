@@ -1,12 +1,16 @@
-"""Types that signatures name: for annotations in a lab's own code."""
+"""Types that signatures name, for annotations in a lab's own code; and the names of reducers and metrics.
+
+What each metric declares is data here, for what reads tables and needs no signals.
+"""
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias, get_args
+from typing import Annotated, Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 __all__ = [
@@ -63,3 +67,39 @@ class MetricInfo:
             raise ValueError(f"higher must be 'better' or 'worse', got {self.higher!r}")
         if not self.low < self.high:
             raise ValueError(f"low must be below high, got {self.low} and {self.high}")
+
+
+MOST_DB = 60.0  # levels further apart count as this far apart: people feel some 55 dB
+
+REDUCER_NAMES = (
+    "sax321", "say321", "saz321", "soc321", "mag321", "pca321", "pca321_adaptive", "dft321", "dft321_windowed",
+    "dft321_principal", "dft321_principal_windowed", "sax321_matched", "say321_matched", "saz321_matched",
+    "pca321_matched", "sax321_matched_running", "say321_matched_running", "saz321_matched_running",
+    "pca321_matched_windowed", "dft321_bands", "dft321_filtered",
+)  # fmt: skip
+"""In the order of the paper, simplest first; later ones follow. The only list of names."""
+
+_WORSE_DB: tuple[Direction, float, float, str] = ("worse", 0.0, MOST_DB, "dB")
+METRIC_INFO: Mapping[str, MetricInfo] = {
+    "spectral_match": MetricInfo("spectral match", high=1.0),
+    "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
+    "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
+    "temporal_match_windowed": MetricInfo("temporal match in windows", low=0.0, high=1.0),
+    "level_difference": MetricInfo("level difference", *_WORSE_DB),
+    "log_spectral_distance": MetricInfo("log-spectral distance", *_WORSE_DB),
+    "pacinian_power_difference": MetricInfo("Pacinian power difference", *_WORSE_DB),
+    "envelope_correlation": MetricInfo("envelope correlation", "better", -1.0, 1.0),
+    "modulation_distance": MetricInfo("modulation spectrum distance", "worse", 0.0),
+    "st_sim": MetricInfo("ST-SIM", "better", 0.0, 1.0),
+    "spqi": MetricInfo("SPQI", "better", 0.0, 1.0),
+}
+"""Name of a metric, the match metrics first -> which way it points, its bounds, and how it is called on a page."""
+
+MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
+"""The match metrics: what is compared with delivered signals and over orientations, too."""
+
+WRITTEN = (*MATCHES, "temporal_match_windowed")  # the metrics that `build` writes
+ANCHOR = "anchor"  # the role of anchors in the manifest
+ANCHOR_NAMES = ("anchor_low", "anchor_mid")
+
+Number = Annotated[float, Interval(ge=-1e9, le=1e9)]

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.doors import Registry, as_names, as_path, as_rng, as_seed
+from feel321.arguments import Registry, as_names, as_path, as_rng, as_seed
 from feel321.jobs import Job, Workers, gather_results, run_jobs
 from feel321.records import REPR_WIDTH, Result
 

@@ -13,7 +13,6 @@ import numpy as np
 from docsite.plot import FAINT, INK
 from docsite.text import table, title, write
 from feel321.analysis.tradeoff.battery import BATTERY
-from feel321.names import METRIC_INFO, REDUCER_NAMES
 from feel321.stimuli import (
     INVARIANTS,
     METRICS,
@@ -28,6 +27,7 @@ from feel321.stimuli.recording import Reduced
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, WHY_NOT_STREAMING
 from feel321.stimuli.synthesis import SCENES
 from feel321.study import settings
+from feel321.types import METRIC_INFO, REDUCER_NAMES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -16,7 +16,7 @@ from types import ModuleType
 from sphinx.pycode import ModuleAnalyzer
 
 from docsite.text import block, quiet, table, title, write
-from feel321.analysis.table.dictionary import read_dictionary
+from feel321.analysis.table.columns import read_dictionary
 from feel321.study.cli import VERBS, main
 
 PAGES = (

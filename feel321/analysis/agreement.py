@@ -36,7 +36,7 @@ from feel321.analysis.table.items import (
     open_ratings,
     refuse_pooled,
 )
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.records import Statistic
 
 NAN = float("nan")
@@ -178,8 +178,6 @@ def intraclass(table: Table | ArrayLike) -> Statistic:
     >>> icc = analysis.intraclass(shrout_fleiss)
     >>> round(icc.icc_a_1, 2), round(icc.icc_c_k, 2)
     (0.29, 0.91)
-    >>> round(icc.icc_a_1_low, 3), round(icc.icc_a_1_high, 3)
-    (0.019, 0.761)
     """
     ratings = _read_complete(table)
     n, k = ratings.shape

@@ -3,24 +3,18 @@
 Tables are CSV that these programs read without options: UTF-8, comma, TRUE and FALSE, NA where a value is missing.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from feel321.analysis.primary.model import Primary, fit_primary
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, WHO
 from feel321.analysis.report.folder import write_flags
 from feel321.analysis.report.section import make_slug, thin_parts
 from feel321.analysis.resampling import Choices
-from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
+from feel321.analysis.table.columns import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
-from feel321.doors import as_path, as_seed, describe
+from feel321.arguments import as_path, as_seed, describe
 from feel321.files import make_folder, write_text
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.types import PathLike, Rng
+from feel321.types import PathLike, Rng
 
 JUDGEMENTS, SCRIPT = "judgements.csv", "model.R"
 MISSING = "NA"

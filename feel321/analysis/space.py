@@ -19,13 +19,12 @@ from scipy.stats import chi2
 
 from feel321.analysis.arrays import CONFIDENCE, FLAT, Values, read_array, read_numbers
 from feel321.analysis.resampling import draw_counts
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.items import Table, open_ratings
-from feel321.analysis.table.metrics import order_reducers
 from feel321.analysis.table.schema import PAIRED
-from feel321.doors import as_rng
-from feel321.names import METRIC_INFO, REDUCER_NAMES
+from feel321.arguments import as_rng
 from feel321.records import Statistic
-from feel321.types import Rng
+from feel321.types import METRIC_INFO, REDUCER_NAMES, Rng
 
 FEWEST = 3  # Stimuli that make a shape
 CUBE = 3  # Axes of a stack of matrices
@@ -227,11 +226,8 @@ def _align(one: Values, other: Values) -> Values:
     return aligned
 
 
-# What the axes are associated with: every stimulus of every recording is a point.
-
+# Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1.
 DIRECTIONS = "directions"
-"""Attribute that every stimulus has: the number of directions in which it vibrates, 3 for the original and else 1."""
-
 ENOUGH = 10  # points for each attribute that a regression wants
 ROUNDING = 1e-9
 ALL_ORDERS = math.factorial(6)  # permutations up to which each is tried

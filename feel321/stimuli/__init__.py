@@ -3,7 +3,6 @@
 Samples flow one way: `read_recording` or `make_scene` -> `condition` -> `reduce` -> `match` -> `build_stimuli`.
 """
 
-from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import (
@@ -32,6 +31,7 @@ from feel321.stimuli.thresholds import (
     sensation_level_db,
 )
 from feel321.stimuli.wav import read_wav, write_wav
+from feel321.types import METRIC_INFO
 
 __all__ = [
     "ANCHORS",

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 
 from numpy.typing import ArrayLike
 
-from feel321.doors import Registry, coerce_real, name_of
-from feel321.names import MATCHES, METRIC_INFO, WRITTEN
+from feel321.arguments import Registry, coerce_real, name_of
 from feel321.stimuli.match import (
     spectral_match,
     spectral_match_bounded,
@@ -19,7 +18,7 @@ from feel321.stimuli.match import (
 from feel321.stimuli.own_methods import find_metric
 from feel321.stimuli.recording import Reduced, Signal, as_pair, check_acceleration
 from feel321.stimuli.reducers.registry import REDUCERS
-from feel321.types import Metric, Reducer, Samples
+from feel321.types import MATCHES, METRIC_INFO, WRITTEN, Metric, Reducer, Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame

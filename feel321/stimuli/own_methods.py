@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.doors import coerce_real, describe
+from feel321.arguments import coerce_real, describe
 from feel321.extensions import Method, call, find_method, split_command
 from feel321.files import temporary_folder
 from feel321.stimuli.recording import check_acceleration

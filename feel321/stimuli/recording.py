@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from feel321.doors import check_finite, check_name, check_rate, coerce_real
+from feel321.arguments import check_finite, check_name, check_rate, coerce_real
 from feel321.records import Result
 from feel321.types import Samples
 

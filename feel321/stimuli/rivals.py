@@ -63,8 +63,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.doors import Registry
-from feel321.names import MOST_DB
+from feel321.arguments import Registry
 from feel321.stimuli import recording
 from feel321.stimuli.match import (
     HIGHEST_HZ,
@@ -75,7 +74,7 @@ from feel321.stimuli.match import (
     linear_grid,
 )
 from feel321.stimuli.thresholds import acceleration_threshold
-from feel321.types import Samples
+from feel321.types import MOST_DB, Samples
 
 
 @dataclass(frozen=True)

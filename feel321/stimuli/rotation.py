@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.doors import Registry, as_rng
+from feel321.arguments import Registry, as_rng
 from feel321.stimuli.match import (
     OriginalSpectrum,
     WeberSmoothing,

@@ -21,7 +21,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from feel321.doors import Registry, as_rng, check_name, check_rate
+from feel321.arguments import Registry, as_rng, check_name, check_rate
 from feel321.stimuli.recording import Recording
 from feel321.types import Rng, Samples
 

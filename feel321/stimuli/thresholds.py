@@ -31,7 +31,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.doors import Registry
+from feel321.arguments import Registry
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ
 from feel321.stimuli.recording import Signal, as_samples
 from feel321.types import Samples

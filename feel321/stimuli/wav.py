@@ -12,9 +12,8 @@ from typing import BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321 import intake
-from feel321.doors import as_path, check_finite, check_rate, coerce_real
-from feel321.files import file_named, write_bytes
+from feel321.arguments import as_path, check_finite, check_rate, coerce_real
+from feel321.files import check_samples, file_named, open_regular, write_bytes
 from feel321.types import PathLike, Samples
 
 BYTE_ORDERS = {b"RIFF": "<", b"RIFX": ">"}
@@ -144,7 +143,7 @@ def read_wav(path: PathLike) -> tuple[Samples, int]:
 
 def read_wav_header(path: Path) -> WavHeader:
     """Read and check a WAV file's header, without reading samples."""
-    with file_named(path), intake.open_regular(path) as file:
+    with file_named(path), open_regular(path) as file:
         try:
             header = _scan_chunks(file, path.stat().st_size)
         except struct.error:
@@ -157,7 +156,7 @@ def read_wav_header(path: Path) -> WavHeader:
             got = f"the header promises {promised} samples, the file holds {present}"
             why = "it is truncated or its header is wrong"
             raise ValueError(f"{got}; {why}, copy or export it again")
-        intake.check_samples(promised, header.channels, header.rate_hz)
+        check_samples(promised, header.channels, header.rate_hz)
     return header
 
 

@@ -5,7 +5,7 @@ Imports nothing heavy: what a step needs is imported when it is called.
 
 from typing import TYPE_CHECKING as _TYPE_CHECKING
 
-from feel321.doors import import_lazily as _import_lazily
+from feel321.arguments import import_lazily as _import_lazily
 from feel321.study.study import Study
 
 if _TYPE_CHECKING:

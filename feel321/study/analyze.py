@@ -6,22 +6,21 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from itertools import chain, count
 from pathlib import Path
 from shlex import quote
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
 
 from feel321.analysis.report.standing import About
 from feel321.analysis.report.write import Results, write_report
-from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
+from feel321.analysis.table.columns import DICTIONARY, ROTATIONS, make_dictionary
 from feel321.analysis.table.items import Table
-from feel321.analysis.table.metrics import ROTATIONS
 from feel321.analysis.table.reading import ROSTER_FILE, Further, read_table
 from feel321.files import write_text
-from feel321.names import MATCHES
 from feel321.stimuli.condition import condition
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.recording import Recording
@@ -46,6 +45,7 @@ from feel321.study.settings.read import (
     try_recordings,
 )
 from feel321.study.settings.schema import AnalysisTable, Settings
+from feel321.types import MATCHES
 
 if TYPE_CHECKING:
     from feel321.analysis.replication import Paper
@@ -170,31 +170,7 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Pa
     return Paper(paper.citation, paper.doi, paper.seen, paper.claims, frame, mountings)
 
 
-# Metrics of a study's stimuli that its manifest lacks: those over orientations of the sensor.
-
 Given = Sequence[Recording | Unread]
-
-
-def _read_unchanged(study: StudyFolder, settings: Settings) -> tuple[list[Unread], Recipe, str]:
-    """List a study's recordings, if the stimuli are still those of them; else give the reason."""
-    sources, problems = list[Unread](), list[str]()
-    digests: dict[str, str | None] = {}
-    recipe = make_recipe(settings, study.path)
-    lead = "The recordings cannot be read as they were when the set was built"
-    for source, found in try_recordings(settings, study.path):
-        if isinstance(found, str):
-            problems.append(found)
-        else:
-            digests[source.name] = found.sha256
-            sources.append(replace(source, size=found.acceleration.size))
-    try:
-        if not problems and (problems := find_changes(study.stimuli, recipe, digests)):
-            lead = "The settings differ from those of the built set, which this analysis is about"
-    except (OSError, ValueError) as error:
-        problems = [str(error)]
-    reason = f"{lead} ({problems[0].splitlines()[0].rstrip('.')})" if problems else ""
-    return sources, recipe, reason
-
 
 # How the metrics depend on the way the sensor was mounted. Another orientation would have given another signal and
 # other metrics, though people would have felt the same tool: mean and spread over orientations (Park & Kuchenbecker
@@ -220,8 +196,24 @@ def measure_rotations(
     metrics: Sequence[str] | None = None,
 ) -> Further:
     """Describe the metrics over sensor orientations for every test stimulus; metrics: that the analysis is about."""
-    recordings, recipe, reason = _read_unchanged(study, settings)
-    if reason:
+    recordings, problems, digests = list[Unread](), list[str](), dict[str, str | None]()
+    recipe, lead = (
+        make_recipe(settings, study.path),
+        "The recordings cannot be read as they were when the set was built",
+    )
+    for source, read in try_recordings(settings, study.path):
+        if isinstance(read, str):
+            problems.append(read)
+        else:
+            digests[source.name] = read.sha256
+            recordings.append(replace(source, size=read.acceleration.size))
+    try:
+        if not problems and (problems := find_changes(study.stimuli, recipe, digests)):
+            lead = "The settings differ from those of the built set, which this analysis is about"
+    except (OSError, ValueError) as error:
+        problems = [str(error)]
+    if problems:
+        reason = f"{lead} ({problems[0].splitlines()[0].rstrip('.')})"
         note = f"{reason}. Rotation statistics of the metrics are left out."
         warnings.warn(note, stacklevel=2)
         return Further(pd.DataFrame(), (note,))
@@ -266,7 +258,7 @@ def compute_rotations(
     if not reducers:
         note = "Rotation statistics: all reducers are commands or files; left out."
         return Further(pd.DataFrame(), (note,))
-    own = [find_reducer(recipe, name) for name in reducers]
+    methods = [find_reducer(recipe, name) for name in reducers]
     first = {one.name: one for one in recordings if copies.get(one.name, one.name) == one.name}
     size = sum(
         one.size if isinstance(one, Unread) else one.acceleration.size for one in first.values()
@@ -277,12 +269,17 @@ def compute_rotations(
 
     def match(given: Recording | Unread) -> np.ndarray:
         ready = condition(read_given(given), find_conditioning(recipe, given.name))
-        return match_rotations(ready.acceleration, ready.rate_hz, reducers=own, turns=turns)
+        return match_rotations(ready.acceleration, ready.rate_hz, reducers=methods, turns=turns)
 
     # Threads: nearly all of the work is done by libraries that release the interpreter. A lab's own code gets one.
     with ThreadPoolExecutor(1 if recipe.methods else os.cpu_count()) as pool:
         of_first = dict(zip(first, pool.map(match, first.values()), strict=True))
-    matches = {one.name: of_first[copies.get(one.name, one.name)] for one in recordings}
+    found = {
+        (one.name, reducer, metric): values
+        for one in recordings
+        for reducer, own in zip(reducers, of_first[copies.get(one.name, one.name)], strict=True)
+        for metric, values in zip(MATCHES, own, strict=True)
+    }
     note = (
         f"Rotation statistics: each recording, conditioned as for its stimuli, was turned into {n_turns} random "
         f"orientations of the sensor (seed {seed}, the same ones for all), reduced and matched with itself; level, "
@@ -290,26 +287,25 @@ def compute_rotations(
         + (" Turned copies of a recording share theirs." if len(first) < len(recordings) else "")
         + (f" Left out, as commands or files: {', '.join(sorted(commands))}." if commands else "")
     )
-    moments = {
-        name: np.stack([one.mean(axis=-1), one.std(axis=-1, ddof=1)], axis=-1).round(DIGITS)
-        for name, one in matches.items()
-    }
+    moments: dict[str, Callable[..., Any]] = {"mean": np.mean, "sd": partial(np.std, ddof=1)}
     table = pd.DataFrame(
-        [moments[one.recording][reducers.index(one.reducer)].ravel() for one in tests],
+        {
+            f"{metric}_rotation_{kind}": [
+                round(float(moment(found[one.recording, one.reducer, metric])), DIGITS)
+                for one in tests
+            ]
+            for metric in MATCHES
+            for kind, moment in moments.items()
+        },
         index=pd.Index([one.stimulus_id for one in tests], name="stimulus_id"),
-        columns=[f"{metric}_rotation_{kind}" for metric in MATCHES for kind in ("mean", "sd")],
     )
-    mountings = [
-        {"recording": recording, "reducer": reducer, "metric": metric}
-        | {"mounting_mean": float(values.mean())}
-        | dict(
-            zip(("q05", "q50", "q95"), np.quantile(values, [0.05, 0.5, 0.95]).tolist(), strict=True)
-        )
-        for recording, found in matches.items()
-        for reducer, of_reducer in zip(reducers, found, strict=True)
-        for metric, values in zip(MATCHES, of_reducer, strict=True)
-    ]
-    return Further(table, (note,), mountings=pd.DataFrame(mountings))
+    keys, ends = ("recording", "reducer", "metric"), {"q05": 0.05, "q50": 0.5, "q95": 0.95}
+    mountings = pd.DataFrame([
+        {**dict(zip(keys, place, strict=True)), "mounting_mean": float(values.mean())}
+        | {name: float(np.quantile(values, share)) for name, share in ends.items()}
+        for place, values in found.items()
+    ])  # fmt: skip
+    return Further(table, (note,), mountings=mountings)
 
 
 def gather_recordings(
@@ -322,18 +318,16 @@ def gather_recordings(
     number.
     """
     study = StudyFolder(folder) if scenes or extra else require_study(folder)
-    found: list[Recording] = []
-    recipe = Recipe()
+    found, recipe = list[Recording](), Recipe()
     if study.settings.is_file():
         settings = read_settings(study.settings)
-        found = open_recordings(settings, folder)
-        recipe = make_recipe(settings, folder)
+        found, recipe = open_recordings(settings, folder), make_recipe(settings, folder)
     n_own = len(found)
     others = [make_scene(name) for name in SCENES] if scenes else []
     for one in (*others, *map(read_recording, extra)):
         if one.sha256 not in {former.sha256 for former in found}:
-            taken = {each.name for each in found}
             numbered = (f"{one.name} ({number})" for number in count(2))
+            taken = {each.name for each in found}
             name = next(name for name in chain([one.name], numbered) if name not in taken)
             found.append(replace(one, name=name))
     ready, mistakes = list[Recording](), list[str]()

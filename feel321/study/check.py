@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321 import intake
-from feel321.doors import follow
+from feel321.arguments import follow
+from feel321.files import open_text
 from feel321.jobs import Workers, as_workers
 from feel321.protocols.order import find_crowding
 from feel321.protocols.texts import make_scales
@@ -228,10 +228,10 @@ def _check_set(
 
 def _check_metrics(study: StudyFolder, settings: Settings) -> Iterator[str]:
     """Check that the metrics that the analysis declares are numeric columns of the manifest, or computed by it."""
-    from feel321.analysis.table.metrics import ROTATIONS  # build needs nothing of the analysis
+    from feel321.analysis.table.columns import ROTATIONS  # build needs nothing of the analysis
 
     known: dict[str, None] = {}
-    with intake.open_text(study.manifest) as file:
+    with open_text(study.manifest) as file:
         for name, cell in (pair for row in csv.DictReader(file) for pair in row.items()):
             with suppress(ValueError):
                 float(cell)

@@ -28,8 +28,9 @@ from cyclopts import App, Argument, CycloptsError, Parameter, UnusedCliTokensErr
 from cyclopts.annotations import resolve_optional
 from cyclopts.exceptions import MissingArgumentError
 
-from feel321 import __version__, files, intake
-from feel321.doors import as_path, clean_text
+from feel321 import __version__, files
+from feel321.arguments import as_path, clean_text
+from feel321.files import clip, read_small
 from feel321.study import options, verbs
 from feel321.study.folder import (
     SETTINGS_FILE,
@@ -187,7 +188,7 @@ def _describe(error: Exception) -> str:
 
 def _complain(message: str, *, code: int) -> int:
     for line in cap(message.splitlines(), whole="feel321 check --json lists all of a study"):
-        echo(f"feel321: {intake.clip(clean_text(line), LONGEST)}", err=True)
+        echo(f"feel321: {clip(clean_text(line), LONGEST)}", err=True)
     return code
 
 
@@ -234,7 +235,7 @@ def demo(*, out: options.Target = Path("demo-study")) -> None:
     refusal = ""
     if not folder.settings.is_file():
         refusal = f"{folder.path}: holds files that demo did not write"
-    elif intake.read_small(folder.settings) != read_template():
+    elif read_small(folder.settings) != read_template():
         refusal = f"{folder.settings}: edited, or written by another version of feel321"
     elif people:
         refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"

@@ -14,14 +14,15 @@ from typing import Any
 
 import pandas as pd
 
-from feel321 import __version__, intake
+from feel321 import __version__
 from feel321.analysis.export import export_r
 from feel321.analysis.report.folder import METHODS
-from feel321.analysis.table.dictionary import describe_column
-from feel321.analysis.table.metrics import gather_info
+from feel321.analysis.table.columns import describe_column, gather_info
 from feel321.files import (
     digest_file,
     make_folder,
+    open_text,
+    read_text,
     sync_folder,
     temporary_folder,
     write_bytes,
@@ -118,7 +119,7 @@ def export_bids(study: StudyFolder, folder: Path, *, simulated: bool = False) ->
         ]
         # The methods section, if there is a report of these very ratings.
         path = study.report / "results.json"
-        results = json.loads(intake.read_text(path)) if path.is_file() else {}
+        results = json.loads(read_text(path)) if path.is_file() else {}
         if results.get("inputs", {}).get("ratings_sha256") == digest_file(study.ratings):
             _write(new / METHODS, make_methods(study, results, is_dated=False))
         else:
@@ -155,7 +156,7 @@ def _number(values: pd.Series, stem: str) -> pd.Series:
 
 def _read_table(path: Path) -> pd.DataFrame:
     """Read one of the study's own tables, every cell as it is written."""
-    with intake.open_text(path) as file:
+    with open_text(path) as file:
         return pd.read_csv(file, dtype=str, keep_default_na=False)
 
 
@@ -314,7 +315,7 @@ def count_flow(study: StudyFolder) -> dict[str, Any]:
 
 def write_methods(study: StudyFolder, report: Path) -> None:
     """Write the methods section beside a report, whose `results.json` holds the numbers."""
-    text = make_methods(study, json.loads(intake.read_text(report / "results.json")))
+    text = make_methods(study, json.loads(read_text(report / "results.json")))
     write_text(report / METHODS, text, private=report == study.report)
 
 
@@ -374,6 +375,4 @@ def render(name: str, **values: object) -> str:
         undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
     )
     pages.policies["json.dumps_kwargs"] = {"ensure_ascii": False}
-    return pages.from_string(intake.read_text(Path(__file__).parent / "templates" / name)).render(
-        **values
-    )
+    return pages.from_string(read_text(Path(__file__).parent / "templates" / name)).render(**values)

@@ -11,7 +11,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.files import create_text, is_of_group, make_folder, write_table
 from feel321.records import Result
 from feel321.study.session.events import PartPlayed

@@ -20,7 +20,6 @@ from statistics import fmean, stdev
 from typing import Any
 
 from feel321.files import make_folder, write_table
-from feel321.names import MATCHES
 from feel321.protocols.tasks import find_other, score_trial
 from feel321.protocols.threshold import SECOND, Matching
 from feel321.protocols.trial import MATCHING, Trial
@@ -30,6 +29,7 @@ from feel321.study.session import events
 from feel321.study.session.journal import Records, list_journals, name_journal
 from feel321.study.session.plan import Dossier, Plan, list_by_code, read_as_written
 from feel321.study.thresholds import find_own_levels
+from feel321.types import MATCHES
 
 MATCHES_FILE = "matches.csv"
 MATCH_COLUMNS = (

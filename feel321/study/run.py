@@ -15,7 +15,7 @@ from functools import partial
 from importlib.util import find_spec
 from shlex import join
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING
 
 from feel321.study.actuator import render
 from feel321.study.actuator import rig as rigs
@@ -38,7 +38,6 @@ from feel321.study.terminal import CALL, echo, is_terminal
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from feel321.study.actuator.delivered import DeliveryCheck
     from feel321.study.actuator.output import Output
     from feel321.study.session.journal import Journal
     from feel321.study.session.plan import Plan
@@ -56,10 +55,6 @@ class SessionLog:
     def __init__(self, participant: str, rig: Path) -> None:
         self._participant, self._rig = participant, rig
         self._place: Place | None = None
-
-    def __enter__(self) -> Self:
-        """Begin."""
-        return self
 
     def _count(self, place: Place) -> str:
         """Count answered trials, and those that were given up apart from them."""
@@ -84,30 +79,26 @@ class SessionLog:
             minutes = "" if place.left_s is None else f", about {place.left_s / 60:.0f} min left"
             echo(f"{done + minutes:<{LINE}}", over=True, err=True)
 
-    def end(self, outcome: Place) -> None:
-        """Print how far the session came."""
-        if outcome.stopped:
-            self._resume(outcome.stopped)
-            return
-        self._end_line()
-        echo(self._count(outcome))
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        """Say how to resume what an error or Ctrl-C ended."""
-        if kind is not None:
-            self._resume(kind.__name__)
-
-    def _end_line(self) -> None:
-        if self._place is not None and is_terminal():
-            echo(err=True)
-
-    def _resume(self, reason: str) -> None:
-        self._end_line()
-        if self._place is not None:
-            # A change of the rig is accepted only once.
-            words = [word for word in CALL.get().words if word != "--accept-rig"]
-            done = f"{self._count(self._place)} (aborted: {reason})"
-            echo(f"{done}; resume with: {join(['feel321', *words])}", err=True)
+    def lead(self, run: Callable[..., Place]) -> Place:
+        """Run a session, and print how far it came, or how to resume what ended it: an error, say, or Ctrl-C."""
+        reason = ""
+        try:
+            outcome = run(on_step=self.note)
+            reason = outcome.stopped
+        except BaseException as error:
+            reason = type(error).__name__
+            raise
+        finally:
+            if self._place is not None and is_terminal():
+                echo(err=True)
+            if reason and self._place is not None:
+                # A change of the rig is accepted only once.
+                words = [word for word in CALL.get().words if word != "--accept-rig"]
+                done = f"{self._count(self._place)} (aborted: {reason})"
+                echo(f"{done}; resume with: {join(['feel321', *words])}", err=True)
+        if not reason:
+            echo(self._count(outcome))
+        return outcome
 
 
 def run_participant(
@@ -137,10 +128,15 @@ def run_participant(
     if own.state == "finished":  # No window is opened for it.
         return Place(own.answered, own.total, given_up=own.given_up)
     room = replace(room, pace=read_pace(study, stimuli))
-    open_own = partial(open_lab, room=room)
+    own_rig, certificate = {"rig": rigs.identify(_get_rig(room))}, room.certificate
+    who = room.casting.identity if room.casting else {"simulated": False}
+    presenter = {**who, "rehearsal": study.is_rehearsal, **own_rig}
+    calibration = certificate.identity if certificate else UNCALIBRATED
+    identity = read.make_identity(settings, study.path, presenter, calibration=calibration)
+    make = partial(open_lab, room=room)
     try:
         outcome, repaired = lead_session(
-            room, plan, identity=identify_lab(room), make_presenter=open_own, on_step=on_step
+            room, plan, identity=identity, make_presenter=make, on_step=on_step
         )
     finally:
         if problem := note_checkpoint(study, "session", who=plan.participant, now=room.now):
@@ -199,14 +195,6 @@ def _get_rig(room: Room) -> rigs.Rig:
     return room.rig
 
 
-def identify_lab(room: Room) -> dict[str, Any]:
-    """Describe what a session depends on besides its plan, for the header of its journal."""
-    who = room.casting.identity if room.casting else {"simulated": False}
-    presenter = {**who, "rehearsal": room.study.is_rehearsal, "rig": rigs.identify(_get_rig(room))}
-    calibration = room.certificate.identity if room.certificate else UNCALIBRATED
-    return read.make_identity(room.settings, room.study.path, presenter, calibration=calibration)
-
-
 @contextmanager
 def open_lab(plan: Plan, journal: Journal, *, room: Room) -> Iterator[Presenter]:
     """Open the actuators and the screen, and close both whatever happens."""
@@ -247,32 +235,28 @@ def _open_output(
     plan: Plan, *, room: Room, clock: Callable[[], float]
 ) -> AbstractContextManager[Output]:
     """Open what the rig plays on, with all that the study plays rendered before."""
+    from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
     from feel321.study.actuator.output import open_output
 
-    rig, certificate, rate_hz = _get_rig(room), room.certificate, room.settings.rig.rate_hz
-    sounds = dict(room.sounds)
+    rig, certificate, settings = _get_rig(room), room.certificate, room.settings
+    own, sounds, check = settings.rig, dict(room.sounds), None
     if plan.threshold:
-        sounds |= render.render_tones(plan.threshold, rig, rate_hz=rate_hz, certificate=certificate)
+        sounds |= render.render_tones(
+            plan.threshold, rig, rate_hz=own.rate_hz, certificate=certificate
+        )
+    if rig.device.name != rigs.FILE_DEVICE and rig.sensor is not None:
+        # Without their recordings, stimuli have no delivered metrics.
+        found = (one for _, one in try_recordings(settings, room.study.path))
+        recordings = [one for one in found if not isinstance(one, str)]
+        recipe = read.make_recipe(settings, room.study.path)
+        check = DeliveryCheck(
+            room.stimuli,
+            rig,
+            full_scale_m_s2=own.full_scale_m_s2,
+            reduced=reduce_stimuli(room.stimuli, recordings, recipe),
+            certificate=certificate,
+            tolerance_db=settings.session.quality.level_error_db,
+        )
     folder = room.study.sessions / plan.participant / DELIVERED
     played = certificate.apply(rig) if certificate else rig
-    check = _make_check(room)
-    return open_output(played, sounds, rate_hz=rate_hz, clock=clock, folder=folder, check=check)
-
-
-def _make_check(room: Room) -> DeliveryCheck | None:
-    """Make what compares playbacks with what was asked; without their recordings, stimuli have no delivered metrics."""
-    rig, settings, folder = _get_rig(room), room.settings, room.study.path
-    if rig.device.name == rigs.FILE_DEVICE or rig.sensor is None:
-        return None
-    from feel321.study.actuator.delivered import DeliveryCheck, reduce_stimuli
-
-    found = (one for _, one in try_recordings(settings, folder))
-    recordings = [one for one in found if not isinstance(one, str)]
-    return DeliveryCheck(
-        room.stimuli,
-        rig,
-        full_scale_m_s2=settings.rig.full_scale_m_s2,
-        reduced=reduce_stimuli(room.stimuli, recordings, read.make_recipe(settings, folder)),
-        certificate=room.certificate,
-        tolerance_db=settings.session.quality.level_error_db,
-    )
+    return open_output(played, sounds, rate_hz=own.rate_hz, clock=clock, folder=folder, check=check)

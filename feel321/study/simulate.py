@@ -7,7 +7,7 @@ from functools import partial
 from itertools import count, islice
 from threading import Event, Lock
 
-from feel321.doors import follow
+from feel321.arguments import follow
 from feel321.stimuli.sets.manifest import StimulusSet, read_stimuli
 from feel321.study.evidence.checkpoints import note_checkpoint
 from feel321.study.folder import OpenStudy, Outcome, StudyFolder

@@ -11,7 +11,6 @@ from operator import attrgetter, itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.names import ANCHOR
 from feel321.protocols.trial import SURFACE
 from feel321.stimuli.sets.build import Foreseen
 from feel321.stimuli.sets.manifest import StimulusSet, find_raised
@@ -22,6 +21,7 @@ from feel321.study.actuator.rig import REDUCED, Rig
 from feel321.study.folder import Problems
 from feel321.study.settings.read import make_design, make_recipe
 from feel321.study.settings.schema import ACCEPT, Settings
+from feel321.types import ANCHOR
 
 WEAK_DB = 10.0  # with less over the threshold stimuli are felt, but hardly as what they are
 REACH_DB = 12.0  # three standard deviations of thresholds between participants

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
-from feel321.doors import as_names, as_path, as_seed, follow
+from feel321.arguments import as_names, as_path, as_seed, follow
 from feel321.jobs import as_workers
 from feel321.study.folder import (
     OpenStudy,
@@ -342,17 +342,9 @@ class Study(OpenStudy):
         room = read_room(self.choose(rehearse), now=self.now)
         room = replace(room, windowed=windowed, screen=screen, device=device)
         room = replace(room, accept_rig=accept_rig, lsl=lsl)
-        with SessionLog(participant, room.study.rig) as log:
-            outcome = run_participant(
-                room,
-                participant,
-                simulated=simulate_participant,
-                seed=seed,
-                on_step=log.note,
-                warn=self.say,
-            )
-            log.end(outcome)
-        return outcome
+        run = partial(run_participant, room, participant, simulated=simulate_participant)
+        log = SessionLog(participant, room.study.rig)
+        return log.lead(partial(run, seed=seed, warn=self.say))
 
     def simulate(self, participants: options.People = 16, rng: options.Seed = None) -> Outcome:
         """Run sessions with simulated participants, or resume them.

@@ -7,7 +7,7 @@ from contextlib import suppress
 from contextvars import ContextVar
 from typing import Any, NamedTuple
 
-from feel321.doors import clean_text
+from feel321.arguments import clean_text
 
 MOST_LINES = 20
 WHOLE = "--json lists all problems and warnings"

@@ -9,7 +9,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321.doors import as_path, follow, name_of
+from feel321.arguments import as_path, follow, name_of
 from feel321.jobs import as_workers
 from feel321.study.folder import Outcome, StudyFolder, UsageError, create_study, require_study
 from feel321.study.options import AS_IT_SAYS

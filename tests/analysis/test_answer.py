@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import list_changes
 from feel321.analysis.report.answer import list_clauses, make_cards
 from feel321.analysis.report.raters import conclude_panels
 from feel321.analysis.report.section import Found, make_row
+from feel321.analysis.words import render_words
 
 OUTCOMES = ("predicts", "opposite", "open", "not_estimable")
 NONE = {"value": math.nan, "low": math.nan, "high": math.nan}
@@ -173,11 +173,11 @@ def test_the_first_line_on_correlations_says_what_they_are_and_that_they_are_not
     r = {"value": 0.7, "low": 0.4, "high": 0.9}
     found = [{"metric": "spectral_match", "r": r, "covers": False, "why": ""}]
     panels = [
-        {"subject": scale.capitalize(), "found": found, "differences": [], "n_items": 9, "ceiling": math.nan}
+        {"subject": scale.capitalize(), "found": found, "n_items": 9, "ceiling": math.nan}
         for scale in scales
     ]  # fmt: skip
     ranges = [{"metric": "spectral_match", "low": 0.7, "high": 0.7}]
-    first, *rest = render_words("metrics", panels=panels, map="", ranges=ranges, further={})
+    first, *rest = render_words("metrics", panels=panels, map="", ranges=ranges)
     assert first.startswith(
         "Realism, over all 9 stimuli pooled: r = 0.70 with spectral match"
         if len(scales) == 1

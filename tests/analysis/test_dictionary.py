@@ -9,13 +9,12 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.report.folder import write_flags
-from feel321.analysis.table.dictionary import describe_column, make_dictionary, read_dictionary
+from feel321.analysis.table.columns import describe_column, make_dictionary, read_dictionary
 from feel321.analysis.tradeoff.measure import COLUMNS as TRADEOFF
-from feel321.names import METRIC_INFO
 from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, RATING_COLUMNS
 from feel321.study.participants.answers import COLUMNS as ANSWERS
 from feel321.study.ratings import MATCH_COLUMNS as MATCHES
-from feel321.types import MetricInfo
+from feel321.types import METRIC_INFO, MetricInfo
 
 KINDS = {
     "flag": re.compile("TRUE|FALSE"),

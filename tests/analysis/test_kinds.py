@@ -14,7 +14,7 @@ from feel321.analysis import figures
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.space import fit_space
-from feel321.analysis.table.metrics import order_reducers
+from feel321.analysis.table.columns import order_reducers
 
 METRICS = ["spectral_match", "temporal_match"]
 LONG = "a_reducer_of_our_own_with_a_very_long_name_indeed_2026"

@@ -154,11 +154,5 @@ def test_dissimilarities_from_the_original_answer_the_question(
     keys = {"scale": "similarity_to_original", "metric": "spectral_match"}
     slope = find_row(rows, "slope", table="slopes", **keys)
     assert slope["low"] < 4.0 < slope["high"]
-    one, other = (
-        find_row(rows, name, table="associations", method="Pearson", **keys)
-        for name in ("r", "r_dissimilarity")
-    )
-    wanted = (-one["value"], -one["high"], -one["low"])
-    assert (other["value"], other["low"], other["high"]) == wanted
     n_tests = 6 * 2 * 4 * len(DEFAULT_REDUCERS)
     assert any(f"{n_tests} of its 576 judgements compare" in note for note in results.notes)

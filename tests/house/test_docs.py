@@ -11,7 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from feel321.analysis.table.dictionary import read_dictionary
+from feel321.analysis.table.columns import read_dictionary
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.match import spectral_match, temporal_match
 from feel321.stimuli.reducers.registry import REDUCERS

@@ -3,10 +3,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from feel321.names import MATCHES, METRIC_INFO
 from feel321.stimuli.match import spectral_match, spectral_match_details, temporal_match
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.reducers.registry import REDUCERS
+from feel321.types import MATCHES, METRIC_INFO
 
 RATE = 4000.0
 

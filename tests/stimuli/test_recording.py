@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.doors import check_rate
+from feel321.arguments import check_rate
 from feel321.stimuli import REDUCERS, psd, spectral_match
 from feel321.stimuli.recording import Recording, check_acceleration
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from feel321.names import METRIC_INFO
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.recording import Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rotation import INVARIANTS
 from feel321.stimuli.synthesis import SCENES, make_scene
+from feel321.types import METRIC_INFO
 
 HALF_A_DIGIT = 0.005 + 1e-6
 RAW = "bumps of 1 s as made"

@@ -6,7 +6,6 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.table.reading import Further
-from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition
 from feel321.stimuli.rotation import rotation_statistics
 from feel321.stimuli.sets.manifest import read_stimuli
@@ -17,6 +16,7 @@ from feel321.study.analyze import compute_rotations, measure_declared, measure_r
 from feel321.study.check import build_study, check_study
 from feel321.study.folder import StudyFolder
 from feel321.study.settings.read import read_settings
+from feel321.types import MATCHES
 
 REDUCERS = ("saz321", "pca321", "dft321_windowed")
 STUDY = f"""

@@ -12,7 +12,7 @@ from time import monotonic, sleep
 
 import pytest
 
-from feel321 import doors
+from feel321 import arguments
 from feel321.study.folder import StudyFolder
 from feel321.study.terminal import echo
 
@@ -63,9 +63,9 @@ def test_a_terminal_sees_what_is_done_and_no_colour(unbuilt: StudyFolder) -> Non
 def test_the_clock_runs_while_one_step_takes_long(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(doors, "TICK_S", 0.01)
+    monkeypatch.setattr(arguments, "TICK_S", 0.01)
     shown, until = "", monotonic() + 60
-    with doors.follow(True, "analyze") as move:
+    with arguments.follow(True, "analyze") as move:
         move(0, 12)
         while shown.count("analyze: 0/12 ") < 5:
             assert monotonic() < until, "the bar stood still"

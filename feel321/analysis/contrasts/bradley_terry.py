@@ -13,7 +13,7 @@ from scipy.stats import t
 
 from feel321.analysis.arrays import UPPER, Values, check_columns, check_draws, read_groups
 from feel321.analysis.resampling import MOST_UNDEFINED, bootstrap_margin, draw_counts
-from feel321.doors import as_rng, check_name
+from feel321.arguments import as_rng, check_name
 from feel321.records import Statistic
 from feel321.types import Rng
 

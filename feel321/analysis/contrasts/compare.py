@@ -25,7 +25,7 @@ from feel321.analysis.table.items import (
     open_tests,
 )
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.doors import check_name
+from feel321.arguments import check_name
 from feel321.records import Statistic
 
 SIGNIFICANCE = 0.05
@@ -72,8 +72,6 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     >>> result = analysis.equivalence(1.5, 1.2, 11, low=-5, high=5)
     >>> round(result.t_high, 3), round(result.p, 4), result.equivalent
     (-2.917, 0.007, True)
-    >>> round(result.low90, 2), round(result.high90, 2)
-    (-0.66, 3.66)
     """
     for name, value in {"estimate": estimate, "low": low, "high": high}.items():
         if not math.isfinite(value):

@@ -23,9 +23,8 @@ INNER = r"(?:`[^`]*`|[^()|`]|\([^()|]*\))"
 PIECE = rf"((?:`[^`]*`|[^()|`]|\({INNER}*\))+)"
 BRACKET = re.compile(rf"(?:^|\+)\s*\({PIECE}(\|\|?){PIECE}\)\s*(?=[+-]|$)")
 GROUP = re.compile(rf"\s*{NAME}\s*(?:[:/]\s*{NAME}\s*)*")
+# What no part of a formula may hold once names in backticks and random terms are taken out.
 UNREAD = r"[|]|~.*~|(offset|weights)\s*\(|(^|[~\s])\.(\s|$)"
-"""What no part of a formula may hold once names in backticks and random terms are taken out."""
-
 DEPENDENT = 1e-9  # Share of a column's length below which what others leave of it is rounding
 FLAT = 1e-12  # Share of a response's size below which what the fixed effects leave over is rounding
 
@@ -127,7 +126,7 @@ def _expand(text: str, formula: str, data: DataFrame) -> Columns:
         ones = () if pieces[0] == "0" else ("(Intercept)",)
         columns = [data[name] for name in names]
         if all(column.dtype in (float, int) for column in columns):
-            parts = [np.ones(len(data)) for _ in ones]
+            parts = [np.ones(len(data))] * len(ones)
             parts += [column.to_numpy(np.float64) for column in columns]
             values = np.stack(parts, axis=1)
             if np.isfinite(values).all():

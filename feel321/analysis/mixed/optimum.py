@@ -24,6 +24,7 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dtrtri
 from scipy.optimize import minimize
 from scipy.sparse import csr_array
+from threadpoolctl import ThreadpoolController
 
 from feel321.analysis.mixed.design import Factor, MixedDesign
 from feel321.types import Samples
@@ -33,6 +34,7 @@ Codes = NDArray[np.intp]
 MOST_LEVELS = 10_000  # Effects beside the unit's: with more, the dense equations need gigabytes
 LARGE = 600  # Rows of a dense matrix from which on two threads do not wait for each other
 HELD = Lock()  # Taken by whoever set the limit of threads, which holds for the whole process
+POOLS = ThreadpoolController()  # Of the libraries imported above: looking takes as long as a step
 ZERO = 1e-4  # A relative spread below this is none: what lme4 calls singular
 LARGEST = 1e5  # A spread so many times the residual means that there is no residual
 PROBE, RESTART, ATTEMPTS = 0.02, 0.3, 4
@@ -288,8 +290,16 @@ class Profile:
         sigma, size = self.find_sigma(state), len(state.theta)
         unit = np.maximum(np.abs(state.theta), 1)
         hessian = np.zeros((size + 1, size + 1))
-        slopes = np.empty((size + 1, self.n_fixed, self.n_fixed))
+        slopes = np.zeros((size + 1, self.n_fixed, self.n_fixed))
+        is_even = (state.theta == 0) & self.own.straight & self.shared.straight
         for place, shift in enumerate(np.diag(STEP * unit)):
+            if is_even[
+                place
+            ]:  # both sides of a spread of 0 are alike, and nothing else changes along it
+                end = self.evaluate(state.theta + shift)
+                rise = self.find_slope(end, end.rss / sigma**2)[place]
+                hessian[place, place] = rise * unit[place] / STEP
+                continue
             ends = [self.evaluate(state.theta + sign * shift) for sign in (1, -1)]
             rise = np.subtract(*(self.find_slope(end, end.rss / sigma**2) for end in ends))
             hessian[place, :size] = rise * unit / (2 * STEP)
@@ -344,12 +354,9 @@ def _choose_unit(factors: Sequence[Factor]) -> Factor:
     def find_cost(unit: Factor) -> float:
         own = shared = 0.0
         for factor in factors:
-            _, place = nest(factor, unit)
-            width = sum(len(term.names) for term in factor.terms)
-            if place is None:
-                shared += factor.n_levels * width
-            else:
-                own += (int(place.max()) + 1) * width
+            place, width = nest(factor, unit)[1], sum(len(term.names) for term in factor.terms)
+            own += 0 if place is None else (int(place.max()) + 1) * width
+            shared += factor.n_levels * width if place is None else 0
         return unit.n_levels * own**2 * (own + shared) + shared**3
 
     return min(factors, key=find_cost)
@@ -358,27 +365,28 @@ def _choose_unit(factors: Sequence[Factor]) -> Factor:
 @contextmanager
 def hold_threads(size: int) -> Iterator[None]:
     """Keep linear algebra to one thread while in the context, if matrices are small and nobody else does."""
-    from threadpoolctl import threadpool_limits
-
     if size >= LARGE or not HELD.acquire(blocking=False):
         yield
         return
     try:
-        with threadpool_limits(1, user_api="blas"):
+        with POOLS.limit(limits=1, user_api="blas"):
             yield
     finally:
         HELD.release()
 
 
-def find_optimum(profile: Profile) -> State:
-    """Minimise the deviance over theta.
+def find_optimum(profile: Profile, near: Samples | None = None) -> State:
+    """Minimise the deviance over theta; near: what it is of much the same data, where the search may begin.
 
-    L-BFGS from theta = 1 (off the diagonal 0), without bounds because the deviance does not change with a
+    L-BFGS from there or from theta = 1 (off the diagonal 0), without bounds because the deviance does not change with a
     spread's sign. For the same reason 0 is always stationary; at every spread of 0 the deviance is therefore
     probed at a small positive value, which shows the sign of its derivative in theta², and the search resumed
     where that is lower. The penalty, -2 log (theta s), goes to infinity at 0.
     """
-    best = _descend(profile, profile.diagonal.astype(np.float64))
+    start = profile.diagonal.astype(np.float64)
+    if near is not None:
+        start = np.where(profile.diagonal & (near == 0), RESTART, near)
+    best = _descend(profile, start)
     for _ in range(ATTEMPTS):
         here, theta = profile.target(best), best.theta
         for place in np.flatnonzero(profile.diagonal & (theta == 0)):

@@ -31,7 +31,7 @@ from feel321.analysis.primary.plan import (
     take_out,
 )
 from feel321.analysis.primary.plan import LEVEL as COVARIATE
-from feel321.analysis.table.metrics import order_reducers
+from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.types import Samples
 
@@ -63,10 +63,11 @@ def _fit(
     *,
     correlated: bool = False,
     reducers: bool = True,
+    near: Slopes | None = None,
 ) -> tuple[pd.DataFrame, str, Slopes | None]:
     """Fit the slopes; also what their model lacks. NaN, the reason and None where the rows carry no model."""
     try:
-        found = fit_slopes(make(), correlated=correlated, reducers=reducers)
+        found = fit_slopes(make(), correlated=correlated, reducers=reducers, near=near)
     except ValueError as error:
         index = pd.Index(metrics, name="metric")
         return pd.DataFrame(np.nan, index=index, columns=[*COLUMNS, *TENTHS]), str(error), None
@@ -105,15 +106,16 @@ def vary_primary(rows: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
         ("primary", lambda: cells, "", {}),
         ("correlated slopes", lambda: cells, "", {"correlated": True}),
         ("without reducers", lambda: cells, "", {"reducers": False}),
-        *[("without level", cells.ignore_level, "", dict[str, bool]())]
-        * (COVARIATE in cells.table),
+        *([("without level", cells.ignore_level, "", {})] if COVARIATE in cells.table else []),
         *_list_rig_variants(rows, metrics, cells),
         ("rater-standardised", partial(make_cells, scaled[~steady], metrics), note, {}),
         ("logits", partial(make_cells, logits, metrics), "", {}),
     ]
-    tables = []
+    tables: list[pd.DataFrame] = []
+    near: Slopes | None = None
     for name, make, said, terms in variants:
-        table, lack, slopes = _fit(make, metrics, **terms)
+        table, lack, slopes = _fit(make, metrics, near=near, **terms)
+        near = near or slopes
         if name == "primary" and not slopes:
             raise ValueError(lack)
         reason = " ".join(filter(None, (*notes, said, lack)))
@@ -192,15 +194,12 @@ def judge_level(level: str, p_holm: float, plain_p_holm: float) -> str:
 
 def list_changes(slopes: Iterable[Mapping[Any, Any]]) -> Iterator[Mapping[Any, Any]]:
     """List the slopes without flagged raters from which another conclusion follows than from everyone's."""
-
-    def find_direction(row: Mapping[Any, Any]) -> float:
-        """Find the direction in which a metric predicts; 0 where nothing is claimed."""
-        return float(np.sign(row["tenth"])) if row["verdict"] == PREDICTS else 0.0
-
     slopes, keys = list(slopes), itemgetter("scale", "level", "metric")
-    whole = {keys(row): find_direction(row) for row in slopes if row["panel"] == "everyone"}
-    # Where everyone's model could not be fitted, nothing is claimed of everyone.
-    yield from (row for row in slopes if find_direction(row) != whole.get(keys(row), 0.0))
+    # The direction in which a metric predicts; 0 where nothing is claimed, as where everyone's model was not fitted.
+    claims = [np.sign(row["tenth"]) if row["verdict"] == PREDICTS else 0.0 for row in slopes]
+    pairs = list(zip(slopes, claims, strict=True))
+    whole = {keys(row): claim for row, claim in pairs if row["panel"] == "everyone"}
+    yield from (row for row, claim in pairs if claim != whole.get(keys(row), 0.0))
 
 
 def leave_out_units(cells: Cells) -> Iterator[tuple[str, Hashable]]:
@@ -230,8 +229,10 @@ def measure_influence(
             notes.append(f"{what} were not left out in turn: more than {MOST_UNITS}.")
         units = [*leave_out_units(cells), *((ITEM, name) for name in find_candidates(cells))]
     before, estimate = _conclude(whole.slopes, others), whole.slopes["estimate"]
+    near: Slopes | None = None
     for column, name in units:
-        left, reason, fitted = _fit(partial(cells.leave_out, column, name), metrics)
+        left, reason, fitted = _fit(partial(cells.leave_out, column, name), metrics, near=near)
+        near = near or fitted
         table = left.reindex(whole.slopes.index)[["estimate", "se", "df", "p", *TENTHS]]
         table = table.join(_conclude(table, others))
         table["shift"] = (table["estimate"] - estimate) / whole.slopes["se"]

@@ -11,8 +11,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+from pandas import DataFrame
+
 from feel321.analysis.primary.sensitivity import LOST, NOT_ESTIMABLE, OPEN, PREDICTS
-from feel321.analysis.report.section import Found, find_row, make_row, read_ends
+from feel321.analysis.report.section import Found, Row, find_row, make_row, read_ends
 from feel321.analysis.words import (
     capitalise,
     format_interval,
@@ -23,10 +26,7 @@ from feel321.analysis.words import (
 )
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.analysis.replication import Paper, PaperAnswer
-    from feel321.analysis.report.section import Row
     from feel321.analysis.resampling import Choices
     from feel321.analysis.table.items import Table
 
@@ -94,7 +94,7 @@ def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
         ]
         clauses.append({"kind": "unflagged", **sizes, "ways": said})
     others = [{"kind": "other", "text": text} for one in found.values() for text in one.clauses]
-    # More of them stand beneath the cards, where they would be said a second time.
+    # More of them are left to the first sentences of their own sections.
     return clauses + (others if len(others) <= NAMED or not clauses else [])
 
 
@@ -194,11 +194,7 @@ def compute_paper(
              "sentence": capitalise(one.sentence)}
             for one in answers
         ],
-        "surprises": list(_list_surprises(paper, odd)) or [
-            _describe_excess(one) for one in answers
-            if one.claim.measure == "rating_excess" and one.found
-            and one.claim.expect in WAYS and one.verdict in {AGREES, DIFFERS}
-        ],
+        "surprises": list(_list_surprises(paper, odd, answers)),
         "ours": sum(one.claim.source == "ours" for one in answers),
     }  # fmt: skip
     for one in answers:
@@ -228,8 +224,13 @@ def _list_answer(one: PaperAnswer) -> Iterator[Row]:
             yield make_row(name, own.value, note=own.describe(), **ends, **keys)
 
 
-def _list_surprises(paper: Paper, odd: Sequence[Row]) -> Iterator[Row]:
-    """List reducers that were rated otherwise than the metrics predict, and whether the paper names them too."""
+def _list_surprises(
+    paper: Paper, odd: Sequence[Row], answers: Sequence[PaperAnswer]
+) -> Iterator[Row]:
+    """List reducers that were rated otherwise than the metrics predict, and whether the paper names them too.
+
+    Where the primary model cannot tell which reducers are exceptional, list the excesses that claims are about.
+    """
     named: dict[str, set[str]] = {name: set() for one in paper.claims for name in one.exceptions}
     for claim in paper.claims:
         if claim.measure == "rating_excess" and claim.expect in WAYS:
@@ -244,36 +245,33 @@ def _list_surprises(paper: Paper, odd: Sequence[Row]) -> Iterator[Row]:
             "where": [f"{row['scale']}, {row['level']}" for row in own], "named": reducer in named,
             "otherwise": [] if named.get(reducer, set()) >= set(ways) else sorted(named.get(reducer, ())),
         }  # fmt: skip
-
-
-def _describe_excess(one: PaperAnswer) -> Row:
-    """Describe the excess of a claim, where the primary model cannot tell which reducers are exceptional."""
-    options, value = one.claim.options, one.found.value if one.found else math.nan
-    metrics = options.get("metrics", ())
-    return {
-        "reducer": options["reducer"], "points": [abs(value)] * 2, "where": [], "otherwise": [],
-        "ways": ["higher" if value > 0 else "lower"], "named": one.verdict == "agrees",
-        "metrics": [metrics] if isinstance(metrics, str) else list(metrics),
-    }  # fmt: skip
+    for one in answers if not rows else ():
+        claim, metrics = one.claim, one.claim.options.get("metrics", ())
+        if (
+            claim.measure == "rating_excess"
+            and one.found
+            and claim.expect in WAYS
+            and one.verdict in {"agrees", "differs"}
+        ):
+            yield {
+                "reducer": claim.options["reducer"], "points": [abs(one.found.value)] * 2, "where": [], "otherwise": [],
+                "ways": ["higher" if one.found.value > 0 else "lower"], "named": one.verdict == "agrees",
+                "metrics": [metrics] if isinstance(metrics, str) else list(metrics),
+            }  # fmt: skip
 
 
 def tabulate_metrics(table: Table, paper: Paper) -> DataFrame:
     """Tabulate the match metrics of every recording and reducer, with the paper's numbers and mountings beside."""
-    import pandas as pd
-
     from feel321.analysis.replication import tabulate_metric
 
     matches = ("spectral_match", "temporal_match")
     known = [name for name in matches if table.stimuli is not None and name in table.stimuli]
     if paper.published is None or not known:
         return pd.DataFrame()
-    long = (
-        tabulate_metric(table, name)
-        .reset_index()
-        .melt("recording", var_name="reducer", value_name="value")
-        .assign(metric=name)
+    long = [
+        tabulate_metric(table, name).melt(var_name="reducer", ignore_index=False).assign(metric=name).reset_index()
         for name in known
-    )
+    ]  # fmt: skip
     found = pd.concat(long, ignore_index=True).dropna(subset="value")
     for beside in (paper.published, paper.mountings):
         if beside is not None:

@@ -11,14 +11,14 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.figures import save_figure
-from feel321.analysis.page import inline_svg, render_template
-from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
-from feel321.doors import as_path
+from feel321.analysis.figures import inline_svg, save_figure
+from feel321.analysis.table.columns import DICTIONARY, make_dictionary
+from feel321.analysis.words import render_template
+from feel321.arguments import as_path
 from feel321.files import defuse, make_folder, move_files, temporary_folder
 from feel321.records import Result, to_json_value
 from feel321.types import PathLike
@@ -87,7 +87,17 @@ def write_folder(  # noqa: PLR0913 - what a folder holds, by name
         frames[DICTIONARY] = make_dictionary(frames)
     make_folder(target.parent)
     with temporary_folder(target) as stage:
-        drawings = _stage(stage, pictures, frames)
+        make_folder(stage / "figures")
+        make_folder(stage / "tables")
+        drawings = {}
+        for one in pictures:
+            save_figure(one.figure, stage / "figures" / one.name)
+            drawing = stage / "figures" / f"{one.name}.svg"
+            drawings[one.name] = inline_svg(one.name, one.caption, drawing)
+        plain: dict[str, Any] = {"index": False, "float_format": "%.10g", "lineterminator": "\n"}
+        for name, frame in frames.items():
+            place = stage / "tables" / name.rpartition("/")[2]
+            write_flags(frame).to_csv(place, encoding="utf-8", **plain)
         listed = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
         for name, text in {PAGE: page(drawings), DETAILS: details, RESULTS: listed}.items():
             if text:
@@ -100,25 +110,6 @@ def write_folder(  # noqa: PLR0913 - what a folder holds, by name
         # The list goes first: a run that is interrupted here leaves files that the next one knows for its own.
         move_files({stage / name: target / name for name in wanted})
     return target
-
-
-def _stage(
-    stage: Path, pictures: Sequence[Picture], frames: Mapping[str, DataFrame]
-) -> dict[str, Markup]:
-    """Save figures and tables; return the figures' SVG by name."""
-    drawings = {}
-    for part in ("figures", "tables"):
-        make_folder(stage / part)
-    for one in pictures:
-        save_figure(one.figure, stage / "figures" / one.name)
-        drawing = stage / "figures" / f"{one.name}.svg"
-        drawings[one.name] = inline_svg(one.name, one.caption, drawing)
-    for name, frame in frames.items():
-        place = stage / "tables" / name.rpartition("/")[2]
-        write_flags(frame).to_csv(
-            place, index=False, float_format="%.10g", lineterminator="\n", encoding="utf-8"
-        )
-    return drawings
 
 
 def list_own(target: Path) -> list[str]:
@@ -157,13 +148,8 @@ SCHEMA_VERSION = 1
 """Version of what their ``results.json`` holds: raised when a field changes or goes."""
 
 
-class PageParts(NamedTuple):
-    """What a folder is made of: what results.json holds, besides files; figures; what the template shows."""
-
-    template: str
-    content: Mapping[str, object]
-    pictures: Sequence[Picture]
-    values: Mapping[str, Any]
+PageParts = tuple[str, Mapping[str, object], Sequence["Picture"], Mapping[str, Any]]
+"""What a folder is made of: template, what results.json holds besides files, figures, what the template shows."""
 
 
 class PageResult(Result):

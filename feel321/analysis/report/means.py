@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from pandas import DataFrame
 
 from feel321.analysis.agreement import SMALLEST
-from feel321.analysis.association import correlate_items, make_panel
+from feel321.analysis.association import Panel, correlate_items, make_panel
 from feel321.analysis.contrasts import compare
 from feel321.analysis.figures import assign_looks, find_cut
 from feel321.analysis.mixed.model import contrast, fit_mixed
@@ -22,27 +23,22 @@ from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, read_ends
+from feel321.analysis.table.columns import Step, order_reducers
 from feel321.analysis.table.items import (
     Part,
+    Table,
     find_sources,
-    format_recordings,
     make_items,
     select_tests,
     split_arms,
     split_tests,
 )
-from feel321.analysis.table.metrics import describe_explored, order_reducers
 from feel321.analysis.table.reading import SPACE, note_apart
-from feel321.analysis.table.schema import ANSWERED, APART, CHOSEN, PAIR, PAIRED, RECAST, ROLES
+from feel321.analysis.table.schema import ANSWERED, APART, CHOSEN, PAIR, PAIRED, ROLES
 from feel321.analysis.words import format_method, format_span
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
-    from feel321.analysis.association import Panel
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Table
-    from feel321.analysis.table.metrics import Step
     from feel321.records import Statistic
 
 REDUCER, TEST = "reducer", ROLES[0]
@@ -72,10 +68,10 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
             rng = choices.make_rng("further", *part.place, metric, method)
             (one,) = correlate_items(items, (metric,), method, draws=draws, rng=rng)
             explored.append(one.associate(metric))
-        found.add("associations", _write_rows(panel.associations, part.scale), **part.keys)
-        found.add("differences", _write_rows(panel.differences, part.scale), **part.keys)
+        found.add("associations", _write_rows(panel.associations), **part.keys)
+        found.add("differences", _write_rows(panel.differences), **part.keys)
         found.add("stimuli", panel.stimuli, **part.keys)
-        found.add("further_associations", _write_rows(explored, part.scale), **part.keys)
+        found.add("further_associations", _write_rows(explored), **part.keys)
         both = (*panel.associations, *panel.differences)
         found.notes += _gather_notes(both, part.lead, most=len(panel.associations))
         found.notes += _gather_notes(explored, f"{part.lead}, further metrics", most=len(explored))
@@ -86,9 +82,7 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
     scales = table.rows["scale"]
     # Choices between two stimuli have an answer of their own.
     alone = not panels and not scales.isin(CHOSEN).any()
-    meanings = describe_explored(table.metrics)
     found.facts = {
-        "further": {name: meanings[name] for name in table.further} if panels else {},
         "panels": told, "alone": alone, "map": SPACE if alone and (scales == PAIRED).any() else "",
         "ranges": [{"metric": name, "low": min(r), "high": max(r)} for name, r in ranges.items()],
     }  # fmt: skip
@@ -98,12 +92,8 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
     return found
 
 
-def _write_rows(every: Iterable[Statistic], scale: str) -> Iterator[Row]:
-    """Name methods; of a similarity also give what holds for the dissimilarity, which it turns round."""
-    turn = -1.0 if scale == RECAST else np.nan
-    for one in every:
-        row = {**one, "method": format_method(one.method), "turned": turn * one.value}
-        yield row | {"turned_low": turn * one.high, "turned_high": turn * one.low}
+def _write_rows(every: Iterable[Statistic]) -> list[Row]:
+    return [{**one, "method": format_method(one.method)} for one in every]
 
 
 def _describe_panel(part: Part, panel: Panel) -> Row:
@@ -115,10 +105,6 @@ def _describe_panel(part: Part, panel: Panel) -> Row:
             {"metric": one.metric, "r": read_ends(one), "covers": one.low <= 0 <= one.high,
              "why": "".join(one.notes[:1]).removeprefix("No correlation: ").removesuffix(".")}
             for one in leading
-        ],
-        "differences": [
-            {"metrics": [two.first, two.second], "r": read_ends(two), "covers": two.low <= 0 <= two.high}
-            for two in panel.differences if two.method == LEADING
         ],
     }  # fmt: skip
 
@@ -227,22 +213,15 @@ def compute_contrasts(table: Table, choices: Choices) -> Found:
         pairs, joint = compared
         found.add("contrasts", pairs, **part.keys)
         frame = pd.DataFrame(pairs)
-        sizes = {"differ": int((frame["p_holm"] < parts.SIGNIFICANCE).sum()), "n_pairs": len(pairs)}
-        people, scenes = part.rows["participant"].nunique(), find_sources(part.rows)
+        sizes: Row = {
+            "differ": int((frame["p_holm"] < parts.SIGNIFICANCE).sum()),
+            "n_pairs": len(pairs),
+        }
+        people = part.rows["participant"].nunique()
         found.add("reducers_together", [joint | sizes], n=people, **part.keys)
         same = frame.loc[frame["equivalent"], ["first", "second"]].to_numpy().tolist()
         hint = describe_hint(part.rows) if sizes["differ"] or same else []
         found.tell(subject=part.subject, same=same, margin=margin, hint=hint, **sizes)
-        if margin is not None and "limit" in frame:
-            tested = frame[frame["limit"].notna()]
-            names = tested["first"] + " − " + tested["second"]
-            tested = tested.assign(name=names, filled=tested["equivalent"])
-            says = {
-                "ratings": part.ratings, "margin": margin, "people": people,
-                "recordings": format_recordings(len(scenes), scenes.nunique()),
-            }  # fmt: skip
-            slug = parts.make_slug("equivalence", *part.place)
-            found.draw("equivalence", slug, tested, says=says, band=(-margin, margin))
     return found
 
 

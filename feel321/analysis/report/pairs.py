@@ -8,19 +8,27 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from pandas import DataFrame
 
+from feel321.analysis import space as spaces
+from feel321.analysis.choices import (
+    CHANCE,
+    EVERY,
+    compare_with_original,
+    discriminate,
+    gather_votes,
+    predict,
+)
+from feel321.analysis.contrasts.bradley_terry import bradley_terry
 from feel321.analysis.primary.model import FEW, adjust_holm
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, make_row
-from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, split_arms
+from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Part, Table, split_arms
 from feel321.analysis.table.schema import CHOSEN, HIGHEST, PAIRED
 from feel321.analysis.words import format_count, format_level, format_name
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Table
     from feel321.records import Statistic
 
 # Choices between two stimuli: which metric predicts them, and what they say of the reducers.
@@ -53,15 +61,11 @@ def compute_choices(table: Table, choices: Choices) -> Found:
         found.attempt("", _scale, found, part, votes, draws=choices.draws, rng=rng)
         notes = (note.strip().rstrip(".") for note in found.notes[first:])
         found.notes[first:] = [f"{part.lead}: {note}." for note in notes]
-    for one in found.facts.get("parts", ()):
-        found.claim(one=one)
     return found
 
 
 def _predict(found: Found, part: Part, table: Table) -> None:
     """Count how many choices each metric predicts."""
-    from feel321.analysis.choices import gather_votes, predict
-
     one = predict(gather_votes(table, table.metrics))
     keys: Row = {**part.keys, "n": one.n_votes}
     shares = one.to_frame().sort_values("share", ascending=False, kind="stable")
@@ -75,7 +79,9 @@ def _predict(found: Found, part: Part, table: Table) -> None:
     found.add("choices_differences", one.differences, **keys)
     sizes = {name: one[name] for name in ("n_participants", "n_recordings", "n_pairs")}
     found.add("choices_sizes", [sizes | {"n": one.n_votes}], **part.keys)
-    found.tell(**describe_prediction(part, table, one, shares=shares.to_dict("records")))
+    found.tell(
+        claims=True, **describe_prediction(part, table, one, shares=shares.to_dict("records"))
+    )
     drawn = 100 * shares[["share", "low", "high"]]
     drawn["name"] = shares["metric"].map(format_name)
     places = [100 * row["share"] for row in known]
@@ -88,8 +94,6 @@ def _predict(found: Found, part: Part, table: Table) -> None:
 
 def describe_prediction(part: Part, table: Table, found: Statistic, *, shares: list[Row]) -> Row:
     """Decide which metrics may be said to predict the choices, and whether any predicts more than another."""
-    from feel321.analysis.choices import CHANCE
-
     sizes = {"participant": found.n_participants, "recording": found.n_recordings}
     clear = [row for row in shares if row["p_holm"] < parts.SIGNIFICANCE]
     right = [row for row in clear if row["share"] > CHANCE]
@@ -112,8 +116,6 @@ def describe_prediction(part: Part, table: Table, found: Statistic, *, shares: l
 
 def _find_turns(table: Table, metric: str, metrics: Sequence[str]) -> Iterator[str]:
     """Name the reducers without which the leading metric is no longer shown to predict."""
-    from feel321.analysis.choices import CHANCE, gather_votes, predict
-
     rows = table.rows
     first, second = rows["first_reducer"], rows["second_reducer"]
     tested = {*first[rows["first_role"] == TEST], *second[rows["second_role"] == TEST]}
@@ -131,8 +133,6 @@ def _scale(
     found: Found, part: Part, votes: DataFrame, *, draws: int, rng: np.random.Generator
 ) -> None:
     """Scale the reducers by Bradley-Terry; shrunken and without intervals where one always won or lost."""
-    from feel321.analysis.contrasts.bradley_terry import bradley_terry
-
     if len(votes["reference_reducer"].unique()) > 1:
         votes = votes[votes["matched"]]  # likeness to one reference is no likeness to another
     if votes.empty:
@@ -162,8 +162,6 @@ def _scale(
 
 def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Evaluate ABX trials per reducer, against whatever its reference was."""
-    from feel321.analysis.choices import discriminate
-
     found, frame = Found(key="discrimination"), discriminate(table)
     if frame.empty:
         return found
@@ -188,8 +186,6 @@ def compute_discrimination(table: Table, choices: Choices) -> Found:  # noqa: AR
 
 def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - every section has this form
     """Compare dissimilarities from the original with those of identical pairs."""
-    from feel321.analysis.choices import EVERY, compare_with_original
-
     found = Found(key="told_apart")
     rows = table.rows[table.rows["scale"] == PAIRED]
     several = len(rows["level"].unique()) > 1
@@ -202,8 +198,8 @@ def compute_told_apart(table: Table, choices: Choices) -> Found:  # noqa: ARG001
         single = own[own["reducer"] != EVERY]
         clear = (single["p_holm"] < parts.SIGNIFICANCE) & (single["difference"] > 0)
         apart, rest = (list(single.loc[which, "reducer"]) for which in (clear, ~clear))
-        found.tell(level=str(level) * several, apart=apart, n=len(single), rest=rest)
-        found.claim(one=found.facts["parts"][-1])
+        told = {"level": str(level) * several, "apart": apart, "n": len(single), "rest": rest}
+        found.tell(claims=True, **told)
     return found
 
 
@@ -214,8 +210,6 @@ DRAWS = 200  # Maps drawn anew; each takes a fit
 
 def compute_space(table: Table, choices: Choices) -> Found:
     """Map the dissimilarities of every level."""
-    from feel321.analysis import space as spaces
-
     found = Found(key="space")
     dissimilar = table.rows[table.rows["scale"] == PAIRED]
 
@@ -244,8 +238,7 @@ def compute_space(table: Table, choices: Choices) -> Found:
         if one is not None:
             found.add("space_metrics", [one], note=f"{one.permutations} pairings", **keys)
             shown = one.p < parts.SIGNIFICANCE
-            found.tell(level=level, r=one.correlation, p=one.p, shown=shown)
-            found.claim(one=found.facts["parts"][-1])
+            found.tell(claims=True, level=level, r=one.correlation, p=one.p, shown=shown)
         why = f"{lead}: axes are not compared with attributes."
         found.attempt(why, _regress, found, table, rows, level=level, choices=choices)
     return found
@@ -255,8 +248,6 @@ def _relate(
     table: Table, space: Statistic, names: Sequence[str], *, level: str, choices: Choices
 ) -> Statistic:
     """Compare the map with the metrics of its stimuli."""
-    from feel321.analysis.space import align_spaces
-
     rated = table.rows[table.rows["level"] == level].drop_duplicates("stimulus_id")
     means = rated.groupby("reducer", observed=True)[list(table.metrics)].mean()
     attributes = means.reindex(list(names))
@@ -265,7 +256,7 @@ def _relate(
     metrics = metrics.loc[:, metrics.std() > 0]
     scaled = ((metrics - metrics.mean()) / metrics.std()).to_numpy()
     rng = choices.make_rng("space", level, "procrustes")
-    return align_spaces(space.positions[known], scaled, permutations=choices.draws, rng=rng)
+    return spaces.align_spaces(space.positions[known], scaled, permutations=choices.draws, rng=rng)
 
 
 def _regress(found: Found, table: Table, rows: DataFrame, *, level: str, choices: Choices) -> None:
@@ -273,11 +264,9 @@ def _regress(found: Found, table: Table, rows: DataFrame, *, level: str, choices
 
     p are adjusted over the metrics that were planned, and over the others; of those that could be small at all.
     """
-    from feel321.analysis.space import ENOUGH, gather_points, regress_points
-
     rng, draws = choices.make_rng("space", level, "attributes"), min(choices.draws, 1000)
-    places, known = gather_points(rows, table.stimuli, rng=rng)
-    regressed: list[Row] = regress_points(places, known, draws=draws, rng=rng)
+    places, known = spaces.gather_points(rows, table.stimuli, rng=rng)
+    regressed: list[Row] = spaces.regress_points(places, known, draws=draws, rng=rng)
     for is_planned in (True, False):
         group = [row for row in regressed if (row["property"] in table.metrics) == is_planned]
         p = [row["p"] if row["p_least"] < parts.SIGNIFICANCE else np.nan for row in group]
@@ -287,9 +276,9 @@ def _regress(found: Found, table: Table, rows: DataFrame, *, level: str, choices
     if mute := [row["property"] for row in regressed if row["p_least"] >= parts.SIGNIFICANCE]:
         told = f"{PAIRED}, {level}: permutations of {n} stimuli cannot show an association of the axes with"
         found.notes.append(f"{told} {', '.join(mute)}.")
-    if recordings * n < ENOUGH * len(regressed):
+    if recordings * n < spaces.ENOUGH * len(regressed):
         found.notes.append(
             f"{PAIRED}, {level}: {len(regressed)} attributes are compared with {recordings * n} points ({n} stimuli in "
-            f"{recordings} recordings); {ENOUGH} for each are recommended: R² is descriptive only."
+            f"{recordings} recordings); {spaces.ENOUGH} for each are recommended: R² is descriptive only."
         )
     found.add("space_attributes", regressed, level=level)

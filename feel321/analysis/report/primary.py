@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,22 +11,18 @@ from pandas import DataFrame
 
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary import sensitivity
-from feel321.analysis.primary.model import FEW, FEWEST, fit_primary, tabulate_slopes
+from feel321.analysis.primary.model import FEW, FEWEST, Primary, fit_primary, tabulate_slopes
 from feel321.analysis.primary.plan import REDUCER, SCENE, SOURCE
-from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, conclude
+from feel321.analysis.primary.sensitivity import NOT_ESTIMABLE, PREDICTS, Influence, conclude
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import Found, Row, read_ends
-from feel321.analysis.table.items import Part, split_tests
-from feel321.analysis.table.metrics import ROTATIONS, TENTH
+from feel321.analysis.table.columns import ROTATIONS, TENTH, Step
+from feel321.analysis.table.items import Part, Table, split_tests
 from feel321.analysis.table.schema import STAND_INS
 from feel321.analysis.words import format_name
 
 if TYPE_CHECKING:
-    from feel321.analysis.primary.model import Primary
-    from feel321.analysis.primary.sensitivity import Influence
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Table
-    from feel321.analysis.table.metrics import Step
     from feel321.types import MetricInfo
 
 HIGHER, LOWER = "higher", "lower"
@@ -244,31 +240,12 @@ def _describe_part(
     return {
         "subject": part.subject, "ratings": part.ratings, "findings": findings,
         "blank": all(one["verdict"] == NOT_ESTIMABLE for one in findings),
-        "comparisons": list(_compare_slopes(model, findings)),
         "exceptions": [row for row in odd if row["exceptional"]],
         "spreads": list(filter(None, spreads)),
         "unbounded": any(one["metric"] in STAND_INS.values() for one in findings),
         "n_items": model.n_items, "n_recordings": model.n_recordings,
         "level": model.level, "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
     }  # fmt: skip
-
-
-def _compare_slopes(model: Primary, findings: Sequence[Row]) -> Iterator[Row]:
-    """Say which of two metrics predicts better, in the same model and over the spread of each."""
-    by_metric = {one["metric"]: one for one in findings}
-    for row in model.differences.to_dict("records"):
-        pair = [by_metric[str(row["first"])], by_metric[str(row["second"])]]
-        ends = read_ends(row, "standardised_estimate standardised_low standardised_high")
-        if math.isnan(ends["low"]) or NOT_ESTIMABLE in {one["verdict"] for one in pair}:
-            continue
-        better = find_better(row)
-        settled = better and by_metric[better]["direction"] and not by_metric[better]["opposite"]
-        others = [one["metric"] for one in pair if one["metric"] != better]
-        yield {
-            "metrics": [one["metric"] for one in pair], "difference": ends,
-            "unsteady": [one["metric"] for one in pair if one["hinges"]],
-            "better": better if settled else "", "worse": others[0],
-        }  # fmt: skip
 
 
 # The primary slopes under other choices.

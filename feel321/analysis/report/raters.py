@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
+from pandas import DataFrame
 
 from feel321.analysis.agreement import rater_model
 from feel321.analysis.primary.model import adjust_holm, fit_slopes
@@ -16,17 +18,13 @@ from feel321.analysis.report import section as parts
 from feel321.analysis.report.primary import per_step
 from feel321.analysis.report.section import Found, Row, make_row
 from feel321.analysis.screening import RULES, screen_raters
-from feel321.analysis.table.items import Part, recast_pairs, split_arms, split_tests
+from feel321.analysis.table.items import Part, Table, recast_pairs, split_arms, split_tests
 from feel321.analysis.table.schema import APART, ERROR, PAIR, SOURCE
 from feel321.analysis.words import format_name
-from feel321.names import MATCHES
+from feel321.types import MATCHES
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Table
-    from feel321.records import Statistic
 
 NORMAL = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % interval."""
@@ -53,19 +51,26 @@ def compute(table: Table, choices: Choices) -> Found:
         group: sorted({who for rule in own for who in screening.hits[rule]}, key=str)
         for group, own in rules.items()
     }
-    _add_screening(found, screening)
+    for rule, hits in screening.hits.items():
+        share = screening.table.loc[screening.table["rule"] == rule, "share"]
+        found.add("screening_rules", [{
+            "rule": rule, "n": len(share), "source": RULES[rule].source,
+            "protocols": ", ".join(map(format_name, RULES[rule].protocols)) or "all",
+            "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()),
+        }])  # fmt: skip
+    names = {"without hits": GROUPS[ANY], "everyone": GROUPS[EVERYONE]}
+    found.add("reliability", screening.panel.assign(panel=screening.panel["panel"].map(names)))
+    found.add("screening", screening.table)
     n_raters = screening.table["participant"].nunique()
-    for group, who in flagged.items():
-        row = make_row("n_flagged", len(who), n=n_raters, panel=group)
-        found.rows["screening_rules"].append(row)
+    found.rows["screening_rules"] += [
+        make_row("n_flagged", len(who), n=n_raters, panel=group) for group, who in flagged.items()
+    ]
     _add_models(found, single, {str(who) for who in flagged[ANY]})
     for part in split_tests(table):
         cells = part.rows.groupby(["participant", "item"], observed=True)["rating"]
-        repeated = cells.transform("size") > 1
-        if n := int(repeated.sum()):
-            n_cells = part.rows[repeated].groupby(["participant", "item"], observed=True).ngroups
-            squares = np.square((part.rows["rating"] - cells.transform("mean"))[repeated]).sum()
-            sd = float(np.sqrt(squares / (n - n_cells)))
+        repeats = cells.agg(["var", "size"]).query("size > 1")
+        if n := int(repeats["size"].sum()):
+            sd = math.sqrt(np.average(repeats["var"], weights=repeats["size"] - 1))
             found.rows["repeats"].append(make_row("sd", sd, n=n, **part.keys))
     slopes = []
     for part in parts.thin_parts(table, choices):
@@ -93,21 +98,6 @@ def compute(table: Table, choices: Choices) -> Found:
     return found
 
 
-def _add_screening(found: Found, screening: Statistic) -> None:
-    for rule, hits in screening.hits.items():
-        known = RULES[rule]
-        share = screening.table.loc[screening.table["rule"] == rule, "share"]
-        texts = {
-            "rule": rule, "n": len(share), "source": known.source,
-            "protocols": ", ".join(map(format_name, known.protocols)) or "all",
-            "flagged": ", ".join(map(str, hits)) or "–", "n_judged": int(share.notna().sum()),
-        }  # fmt: skip
-        found.add("screening_rules", [texts])
-    names = {"without hits": GROUPS[ANY], "everyone": GROUPS[EVERYONE]}
-    found.add("reliability", screening.panel.assign(panel=screening.panel["panel"].map(names)))
-    found.add("screening", screening.table)
-
-
 def _add_models(found: Found, single: DataFrame, hit: set[str]) -> None:
     """Fit the rater model to every scale and level, hidden references and anchors included."""
     drawn = []
@@ -119,8 +109,7 @@ def _add_models(found: Found, single: DataFrame, hit: set[str]) -> None:
         frame: DataFrame = model.to_frame()
         for name in ("bias", "inconsistency"):
             half = NORMAL * frame[f"{name}_se"]
-            ends = {f"{name}_low": frame[name] - half, f"{name}_high": frame[name] + half}
-            frame = frame.assign(**ends)
+            frame[[f"{name}_low", f"{name}_high"]] = np.c_[frame[name] - half, frame[name] + half]
         found.add("rater_model", frame, **part.keys)
         drawn.append(frame.assign(series=part.subject, name=frame["participant"].astype(str)))
     if drawn:

@@ -20,15 +20,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from feel321.analysis import figures
-from feel321.analysis.page import TEMPLATES, render_words
-from feel321.analysis.table.items import Part, find_sources, split_tests
-from feel321.analysis.table.metrics import Step, find_steps
+from feel321.analysis.table.columns import Step, find_steps
+from feel321.analysis.table.items import Part, Table, find_sources, split_tests
 from feel321.analysis.words import (
     INTERVALS,
+    TEMPLATES,
     format_count,
     format_estimate,
     format_name,
     format_number,
+    render_words,
 )
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from feel321.analysis.resampling import Choices
-    from feel321.analysis.table.items import Table
 
     Records = DataFrame | Iterable[Mapping[Any, Any]]
 
@@ -261,9 +261,11 @@ class Found:
         drawing = partial(kind, *data, **declared)
         self.pictures.append(Picture(slug, caption, drawing, detail))
 
-    def tell(self, **facts: object) -> None:
-        """Add the facts of a part, such as a scale and level, for the words."""
+    def tell(self, *, claims: bool = False, **facts: object) -> None:
+        """Add the facts of a part, such as a scale and level, for the words; claims: for the headline too."""
         self.facts.setdefault("parts", []).append(facts)
+        if claims:
+            self.claim(one=facts)
 
     def claim(self, **facts: object) -> None:
         """Add what the headline says, as the section's template puts it."""

@@ -49,11 +49,6 @@ class Hypothesis:
     metric: str
     higher: str = "better"
 
-    @property
-    def place(self) -> tuple[str, str, str]:
-        """What it is about."""
-        return self.scale, self.level, self.metric
-
     def __str__(self) -> str:
         """Write it in plain words."""
         way = "higher" if self.higher == "better" else "lower"
@@ -87,7 +82,7 @@ class Standing:
         """Judge a slope by scale, level and metric: ``confirmatory`` or ``exploratory``, and why the latter."""
         if self.reason:
             return EXPLORATORY, self.reason
-        if place not in {one.place for one in self.hypotheses}:
+        if place not in {(one.scale, one.level, one.metric) for one in self.hypotheses}:
             return EXPLORATORY, "not among the frozen hypotheses"
         return CONFIRMATORY, ""
 
@@ -99,9 +94,8 @@ class Standing:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the fields, with hypotheses in words: what ``results.json`` holds."""
-        named = ("sentence", "state", "reason", "frozen_utc", "sha256", "changes")
-        told = {"hypotheses": [str(one) for one in self.hypotheses]}
-        return {name: getattr(self, name) for name in named} | told
+        told = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return told | {"hypotheses": [str(one) for one in self.hypotheses]}
 
 
 @dataclass(frozen=True, slots=True)

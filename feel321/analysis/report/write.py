@@ -11,26 +11,27 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import pandas as pd
+from pandas import DataFrame
+
 from feel321.analysis import words
 from feel321.analysis.figures import list_undrawable
-from feel321.analysis.page import render_template, render_words
 from feel321.analysis.report import answer
 from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_files, write_folder
 from feel321.analysis.report.section import FIXED, Found, Row, Section, TableForm, make_row
 from feel321.analysis.report.standing import About, Standing, list_versions
 from feel321.analysis.resampling import Choices
 from feel321.analysis.screening import RULES
-from feel321.analysis.table.dictionary import DICTIONARY, make_dictionary
+from feel321.analysis.table.columns import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIR, PAIRED, RECAST
-from feel321.doors import as_path, as_seed, follow
+from feel321.analysis.words import render_template, render_words
+from feel321.arguments import as_path, as_seed, follow
 from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
 
 if TYPE_CHECKING:
-    from pandas import DataFrame
-
     from feel321.analysis.replication import Paper
 
 SCHEMA_VERSION = 2
@@ -159,16 +160,9 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         Bootstrap draws per interval, and random pairings per permutation test; at least 2.
     margin : float, optional
         Points by which reducers may differ and still count as equivalent; equivalence is not tested if left out.
-    metrics : sequence of str, optional
-        Numeric columns of the manifest that the primary analysis is about, declared before the ratings were seen;
-        ``spectral_match_bounded`` and ``temporal_match`` if left out (`read_table`).
-    sources : Mapping of str to str, optional
-        Recording -> what it was made from, where several are one, turned, cut or edited, and the manifest has no column
-        ``source``: intervals then draw sources.
-    further : Further, optional
-        Metrics to explore that neither file holds, such as rotation statistics.
-    info : Mapping of str to MetricInfo, optional
-        What metrics declare: which way each points, its bounds, label and unit (`read_table`).
+    metrics, sources, further, info : optional
+        The metrics of the primary analysis, what recordings were made from, metrics that neither file holds, and what
+        metrics declare, all as `read_table` takes them; left out with a Table, which has them.
     paper : Paper, optional
         The paper that is replicated: its claims are answered first.
     about : About, optional
@@ -223,9 +217,9 @@ def _open(
     """Read the ratings; return them with what they were read from."""
     if isinstance(ratings, Table):
         if manifest is not None or any(one is not None for one in choice.values()):
+            what = "manifest, metrics, sources, further and info"
             raise ValueError(
-                "manifest, metrics, sources, further and info must be left out with a Table, which has them; give them "
-                "to read_table"
+                f"{what} must be left out with a Table, which has them; give them to read_table"
             )
         return ratings, {"ratings": ratings.rows}
     if manifest is None:
@@ -344,8 +338,6 @@ def list_shown(one: tuple[Section, Found]) -> list[TableForm]:
 
 def make_frame(table: Table, found: Iterable[Found], standing: Standing) -> DataFrame:
     """Make the frame: every number of the report, one row each."""
-    import pandas as pd
-
     tables = {"sizes": count_table(table)}
     for one in found:
         tables |= {name: rows for name, rows in one.rows.items() if rows}
@@ -405,7 +397,6 @@ def _write(table: Table, results: Results, *, found: Everything, target: Path) -
         "results": results, "title": TITLE, "questions": QUESTIONS, "blocks": blocks,
         "sizes": {row["quantity"]: row["value"] for row in count_table(table)},
         "lead": next((one for one in pictures if one.name == "scatter"), None),
-        "others": [text for one in found.values() for text in one.clauses],
     }  # fmt: skip
     frames = {str(name): _tidy(part) for name, part in results.numbers.groupby("table", sort=False)}
     write_folder(
@@ -420,8 +411,6 @@ def _write(table: Table, results: Results, *, found: Everything, target: Path) -
 
 def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
     """Describe every column of every table, and every quantity that its column ``value`` holds."""
-    import pandas as pd
-
     described = make_dictionary({f"report/{name}.csv": frame for name, frame in frames.items()})
     known = {(form.name, one.name): (one.meaning, one.p) for section in sections
              for form in section.tables.values() for one in form.quantities}  # fmt: skip

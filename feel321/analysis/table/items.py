@@ -12,20 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeGuard
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pandas import DataFrame, Series, factorize
 
 from feel321.analysis.arrays import Values, check_columns, read_numbers
 from feel321.analysis.table.schema import APART, HIGHEST, NAMING, NO, PAIRED, RECAST, YES
 from feel321.analysis.words import capitalise, format_level, format_name
-from feel321.doors import as_names, check_name
+from feel321.arguments import as_names, check_name
 from feel321.records import Result
 from feel321.types import MetricInfo
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
 
 STIMULUS, REJECTED = "stimulus_id", "rejected"
 ROLE, TEST = "role", "test"
@@ -144,8 +142,6 @@ def as_votes(given: Table | ArrayLike) -> ArrayLike:
 
 def open_ratings(ratings: Table | DataFrame, *, what: str = "ratings") -> DataFrame:
     """Give ratings a plain index, so that no row is matched with another by a label that both happen to have."""
-    from pandas import DataFrame
-
     ratings = ratings.rows if isinstance(ratings, Table) else ratings
     if not isinstance(ratings, DataFrame):
         got = type(ratings).__name__
@@ -222,9 +218,10 @@ def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     n = int((~tested).sum())
     if n == len(ratings):
         raise ValueError(f"ratings must be of test stimuli, got no row with role 'test' among {n}")
-    left = f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli"
-    left = f"{left} (hidden references, anchors) {'are' if n > 1 else 'is'} left out."
-    return ratings[tested], (left,)
+    left = (
+        f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli (hidden references, anchors)"
+    )
+    return ratings[tested], (f"{left} {'are' if n > 1 else 'is'} left out.",)
 
 
 def name_stimuli(ratings: DataFrame) -> DataFrame:
@@ -232,11 +229,9 @@ def name_stimuli(ratings: DataFrame) -> DataFrame:
     if STIMULUS in ratings:
         return ratings
     if {"recording", "reducer"} <= set(ratings):
-        first, *others = (ratings[name] for name in NAMING if name in ratings)
-        names, known = first.astype(str), first.notna()
-        for one in others:
-            names, known = names + "/" + one.astype(str), known & one.notna()
-        return ratings.assign(**{STIMULUS: names.where(known)})
+        parts = ratings[[name for name in NAMING if name in ratings]]
+        names = parts.astype(str).agg("/".join, axis=1)
+        return ratings.assign(**{STIMULUS: names.where(parts.notna().all(axis=1))})
     spoken = next((name for name in SPOKEN if name in ratings), None)
     return ratings.assign(**{STIMULUS: ratings[spoken]}) if spoken else ratings
 
@@ -428,8 +423,6 @@ class Items:
 
 def make_items(ratings: Table | DataFrame, metrics: Sequence[str]) -> Items:
     """Gather a tidy table of one scale into arrays."""
-    from pandas import Series, factorize
-
     rows, notes = open_tests(ratings, metrics, named=["recording"])
     item, names = factorize(rows[STIMULUS], sort=True)
     person = factorize(rows["participant"], sort=True)[0]

@@ -19,22 +19,19 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
+from pandas import DataFrame, Series
 
-from feel321 import intake
-from feel321.analysis.table import metrics as metrics_of
+from feel321.analysis.table import columns as columns_of
 from feel321.analysis.table import schema
 from feel321.analysis.table.items import OTHER, ROLE, STIMULUS, TEST, Table, leave_rejected
 from feel321.analysis.table.schema import refuse_lines, shorten
 from feel321.analysis.words import name_some
-from feel321.doors import as_names, as_path, describe
-from feel321.names import REDUCER_NAMES
-from feel321.types import MetricInfo, PathLike
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
+from feel321.arguments import as_names, as_path, describe
+from feel321.files import open_text
+from feel321.types import REDUCER_NAMES, MetricInfo, PathLike
 
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
 """Tables of a study, in its folder."""
@@ -60,9 +57,7 @@ JUDGEMENT = (
 """What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
 repeats are counted instead, so does what it was judged against."""
 
-CROWDED = (
-    0.2  # Share of ratings at the ends of the scale from which on they are said to crowd there
-)
+CROWDED = 0.2  # Share of ratings at the ends of the scale from which they are said to crowd there
 SHORT = 10  # Points below which a scale's highest rating makes one doubt that it went to 100
 SPACE = "Where a map of the dissimilarities can be made, see The space of what was felt."
 SURFACED, UNLISTED = "the real surface", "what the manifest does not list"
@@ -127,17 +122,15 @@ def read_table(
     >>> analysis.read_table(ratings, manifest).metrics
     ('temporal_match',)
     """
-    from pandas import DataFrame
-
     if manifest is None:
         ratings, manifest = find_tables(ratings)
     (judged, what), (listed, where) = _open(ratings, "ratings"), _open(manifest, "manifest")
     given = further or Further(DataFrame())
     stimuli, planned, notes = _read_manifest(listed, where, metrics=metrics, given=given)
-    known = [*planned, *metrics_of.describe_explored(planned)]
+    known = [*planned, *columns_of.describe_explored(planned)]
     held = [name for name in known if name in stimuli or name in planned]
-    declared, stated = metrics_of.gather_info(held, info, listed)
-    notes += metrics_of.refuse_unbounded(stimuli, where, info=declared, stated=stated)
+    declared, stated = columns_of.gather_info(held, info, listed)
+    notes += columns_of.refuse_unbounded(stimuli, where, info=declared, stated=stated)
     _add_sources(stimuli, where, sources or {})
     stimuli = stimuli.set_index(STIMULUS)
     rows, more_notes = read_ratings(judged, what)
@@ -157,7 +150,7 @@ def read_table(
     rows = _join_roster(rows, judged, notes)
     sheet = stimuli[["source", *schema.NAMING, ROLE, *columns]]
     if (rows["scale"] == schema.PAIRED).any():
-        more = metrics_of.read_attributes(listed)
+        more = columns_of.read_attributes(listed)
         sheet = sheet.join(more[[name for name in more if name not in sheet]])
     return Table(rows, planned, tuple(notes), explored, declared, sheet)
 
@@ -191,7 +184,7 @@ def _open(given: PathLike | DataFrame, what: str) -> tuple[Path | DataFrame, str
 
 def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[str]]:
     """Read every judgement that counts."""
-    kinds = {**schema.RATINGS, **dict.fromkeys(metrics_of.FURTHER, schema.METRIC)}
+    kinds = {**schema.RATINGS, **dict.fromkeys(columns_of.FURTHER, schema.METRIC)}
     sheet, notes = schema.read_sheet(source, what, kinds, needed=schema.NEEDED[0])
     schema.read_column(sheet, "rejected", what, kind=schema.FLAG)
     left, left_out = leave_rejected(sheet, what=what)  # which needs no rating
@@ -202,8 +195,8 @@ def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[s
     sheet = left.drop(columns="rejected", errors="ignore").copy()
     for name in map(str, sheet):
         schema.read_column(sheet, name, what, kind=kinds[name])
-    if "simulated" not in sheet:
-        sheet["simulated"] = False
+    missing: dict[str, Any] = {"simulated": False, "reference_id": "", OTHER: ""}
+    sheet = sheet.assign(**{name: one for name, one in missing.items() if name not in sheet})
     simulated, who = sheet["simulated"], sheet["participant"]
     both = who[simulated & who.isin(who[~simulated])]
     refuse_lines(both, what, must="be simulated in all of its lines or in none")
@@ -212,7 +205,6 @@ def read_ratings(source: Path | DataFrame, what: str) -> tuple[DataFrame, list[s
         how = "because people rated too; to analyse them, bring a table of them alone"
         notes.append(f"{gone} are left out, {how}.")
         sheet = sheet[~simulated].copy()
-    sheet = sheet.assign(**{key: "" for key in ("reference_id", OTHER) if key not in sheet})
     _check_answers(sheet, what)
     notes += [*_check_doubles(sheet, what), *note_ratings(sheet)]
     if "repeat" not in sheet:
@@ -262,7 +254,7 @@ def _read_manifest(
 ) -> tuple[DataFrame, tuple[str, ...], list[str]]:
     """Read the manifest's columns that an analysis needs; also the planned metrics, and notes."""
     metrics = None if metrics is None else as_names(metrics, "metrics")
-    kinds = metrics_of.describe_manifest(metrics or schema.PLANNED)
+    kinds = columns_of.describe_manifest(metrics or schema.PLANNED)
     sheet, notes = schema.read_sheet(source, what, kinds, needed=schema.NEEDED[1])
     planned = _choose_metrics(sheet, metrics, source, what=what, more=set(map(str, given.metrics)))
     notes += [
@@ -280,9 +272,9 @@ def _read_manifest(
     strange = sheet.loc[~sheet[ROLE].isin(schema.ROLES), ROLE]
     refuse_lines(strange, what, must=f"be one of {', '.join(schema.ROLES)}")
     schema.refuse_doubled(sheet, STIMULUS, what)
-    for name in [*planned, *metrics_of.describe_explored(planned)]:
+    for name in [*planned, *columns_of.describe_explored(planned)]:
         # The reference need not have a metric: it is what the others are matched against.
-        if name in sheet and name in {*planned, *metrics_of.FURTHER}:
+        if name in sheet and name in {*planned, *columns_of.FURTHER}:
             bare = sheet.loc[(sheet[name] == "") & (sheet[ROLE] == TEST), name]
             do = "correct it or leave the row out"
             refuse_lines(bare, what, must="be a finite number", do=do)
@@ -310,7 +302,7 @@ def _choose_metrics(
     """Find the columns that the primary analysis is about; only the default pair may be incomplete."""
 
     def list_numeric() -> str:
-        names = metrics_of.list_numeric(schema.read_cells(source))
+        names = columns_of.list_numeric(schema.read_cells(source))
         listed = f"its numeric columns are {', '.join(names)}"
         return listed if names else "it has no numeric column"
 
@@ -325,12 +317,12 @@ def _choose_metrics(
     if not metrics or len(set(metrics)) < len(metrics):
         got = ", ".join(metrics) or "none"
         raise ValueError(f"metrics must be one name or more, each once, got {got}")
-    known = more | set(metrics_of.list_numeric(sheet))
+    known = more | set(columns_of.list_numeric(sheet))
     for name in (name for name in metrics if name not in known):
         stand_in, why = schema.STAND_INS.get(name), ""
         if stand_in in sheet:
             why = f" (build the set again, or use {stand_in})"
-        elif name in metrics_of.ROTATIONS:
+        elif name in columns_of.ROTATIONS:
             why = " (feel321 analyze computes it in a study, from the recordings of its set)"
         lacks = "no numbers in column" if name in sheet else "no column"
         got = f"got {lacks} {shorten(name)} as a metric{why}"
@@ -421,20 +413,17 @@ def _join_further(
     """Give every stimulus the further metrics that there are."""
     must = "further metrics must"
     for name in given.metrics:
-        if name not in metrics_of.FURTHER:
-            names = ", ".join(metrics_of.FURTHER)
+        if name not in columns_of.FURTHER:
+            names = ", ".join(columns_of.FURTHER)
             raise ValueError(f"{must} be of the columns {names}, got column {name!r}")
         if not ~(np.abs(given.metrics[name].to_numpy(np.float64)) > schema.LARGEST).any():
             raise ValueError(f"{must} be finite, got infinite or huge values of '{name}'")
     if not given.metrics.index.is_unique:
         raise ValueError(f"{must} have one row per stimulus_id, got a stimulus twice")
-    judged = [name for name in metrics_of.FURTHER if name in ratings]
+    judged = [name for name in columns_of.FURTHER if name in ratings]
     means = ratings.groupby(STIMULUS)[[*judged, "rating"]].mean()[judged]
-    both = (
-        (f"{listed} and {what}", means),
-        ("the files and the further metrics given", given.metrics),
-    )
-    for where, more in both:
+    both = {f"{listed} and {what}": means, "the files and the further metrics given": given.metrics}
+    for where, more in both.items():
         if doubled := [str(name) for name in more if name in manifest]:
             do = "keep one, or a stimulus would have two values of it"
             raise ValueError(f"{where}: got '{doubled[0]}' in both; {do}")
@@ -455,7 +444,7 @@ def _choose_further(
             got = f"got {name!r}, which {len(lacking)} rated test stimuli lack, first {first}"
             do = "name another metric, or leave them out"
             raise ValueError(f"metrics: {got}; {do}. {' '.join(given.notes)}")
-    known = [name for name in metrics_of.describe_explored(planned) if name in tests]
+    known = [name for name in columns_of.describe_explored(planned) if name in tests]
     return tuple(name for name in known if tests[name].notna().all())
 
 
@@ -464,7 +453,7 @@ def _join_roster(rows: DataFrame, ratings: Path | DataFrame, notes: list[str]) -
     path = ratings.with_name(ROSTER_FILE) if isinstance(ratings, Path) else None
     if path is None or not path.is_file():
         return rows
-    with intake.open_text(path) as file:
+    with open_text(path) as file:
         header = next(csv.reader(file), [])
     known = {*rows, *ROSTER, "participant", ""}
     labels = [name for name in header if name in RIG or name not in known]
@@ -535,7 +524,7 @@ def note_gaps(rows: DataFrame, manifest: DataFrame, metrics: Sequence[str]) -> I
         which = f"{len(weak)} of {len(manifest)} stimuli were played below the detection threshold"
         if weak:
             yield f"{which}: {list_names(weak)}."
-    for name in (name for name in metrics_of.describe_explored(metrics) if name in rows):
+    for name in (name for name in columns_of.describe_explored(metrics) if name in rows):
         lacking = tests.loc[tests[name].isna(), STIMULUS].unique()
         if len(lacking):
             first = shorten(str(lacking[0]))

@@ -16,14 +16,13 @@ import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
+from pandas import DataFrame, Series
 
-from feel321 import intake
-
-if TYPE_CHECKING:
-    from pandas import DataFrame, Series
+from feel321.files import clip, decode, read_bytes
 
 LOWEST, HIGHEST = 0.0, 100.0  # The ends of every rating scale
 LARGEST = 1e12
@@ -148,8 +147,6 @@ def read_sheet(
 
 def read_cells(source: Path | DataFrame) -> DataFrame:
     """Read all columns as text, unchecked; what was put before texts so that no spreadsheet runs them is left out."""
-    import pandas as pd
-
     if isinstance(source, Path):
         cells = pd.read_csv(source, dtype=str, na_filter=False, encoding="utf-8-sig")
         return restore_cells(cells)
@@ -165,8 +162,6 @@ def restore_cells(sheet: DataFrame) -> DataFrame:
 
 def read_column(sheet: DataFrame, name: str, what: str, *, kind: str) -> None:
     """Read a column of text, if there is one, as the kind that it is declared as."""
-    import pandas as pd
-
     if name not in sheet:
         return
     cells = sheet[name]
@@ -214,18 +209,16 @@ def refuse_doubled(sheet: DataFrame, name: str, what: str) -> None:
 
 def shorten(text: str) -> str:
     """Quote a cell for a message that is to stay one line."""
-    return repr(intake.clip(text))
+    return repr(clip(text))
 
 
 def _read_file(path: Path, kinds: Mapping[str, str], needed: Sequence[str]) -> DataFrame:
     """Read a file's cells; the index says in which line a row begins."""
-    import pandas as pd
-
-    what, content = path.name, intake.read_bytes(path)
+    what, content = path.name, read_bytes(path)
     for mark, kind in FOREIGN.items():
         if content.startswith(mark):
             raise ValueError(f"{what}: must be plain UTF-8 text, got {kind}")
-    reader = csv.reader(io.StringIO(intake.decode(content, what), newline=""), strict=True)
+    reader = csv.reader(io.StringIO(decode(content, what), newline=""), strict=True)
     try:
         header, line, rows = next(reader, []), reader.line_num + 1, {}
         for row in reader:

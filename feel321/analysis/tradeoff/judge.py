@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from feel321.analysis.tradeoff.measure import DISTURBED, HALVES, MOUNTED, RECORDED, SHORTEST_S
-from feel321.doors import check_name
+from feel321.arguments import check_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame, Series

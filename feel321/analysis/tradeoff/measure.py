@@ -42,9 +42,8 @@ from feel321.analysis.tradeoff.cost import (
     time_reducers,
     time_stream,
 )
-from feel321.doors import as_seed, describe, follow
+from feel321.arguments import as_seed, describe, follow
 from feel321.jobs import Job, Workers, gather_results
-from feel321.names import MOST_DB
 from feel321.stimuli.match import (
     HIGHEST_HZ,
     LOWEST_HZ,
@@ -60,7 +59,7 @@ from feel321.stimuli.recording import AXES, Recording
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.rivals import Pair, compare_depths, find_depths, follow_band, follow_energy
 from feel321.stimuli.thresholds import acceleration_threshold, felt_level
-from feel321.types import Metric, Progress, Reducer, Rng, Samples
+from feel321.types import MOST_DB, Metric, Progress, Reducer, Rng, Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from feel321 import intake
-from feel321.doors import as_path, check_finite, check_rate
-from feel321.files import file_named
+from feel321.arguments import as_path, check_finite, check_rate
+from feel321.files import check_samples, file_named, open_regular, read_bytes
 from feel321.stimuli.formats import files
 from feel321.stimuli.formats.tables import Decoded, parse_unit, read_table
 from feel321.stimuli.recording import UNITS, Recording
@@ -48,7 +47,7 @@ HEAD_BYTES = 4096
 
 def detect_format(path: Path) -> str:
     """Find a file's format."""
-    with intake.open_regular(path) as file:
+    with open_regular(path) as file:
         head = file.read(HEAD_BYTES)
     if not head:
         raise ValueError("the file is empty (0 bytes); copy or export it again")
@@ -131,7 +130,7 @@ def settle_sampling(
     elapsed = time_s - time_s[0]
     period = float(np.median(np.diff(time_s)))
     n_even = int(elapsed[-1] / period * (1 + 1e-12)) + 1
-    intake.check_samples(n_even, len(samples), 1 / period)
+    check_samples(n_even, len(samples), 1 / period)
     grid = np.minimum(np.arange(n_even) * period, elapsed[-1])
     even = make_interp_spline(elapsed, samples, k=3, axis=1)(grid)
     _agree(stated, 1 / period, who="the time stamps")
@@ -269,7 +268,7 @@ def read_recording(
         samples, rate, notes = settle_sampling(decoded, rate_hz=rate_hz, resample=resample)
         digest = hashlib.sha256()
         for one in decoded.sources or (source,):
-            digest.update(intake.read_bytes(one))
+            digest.update(read_bytes(one))
         said = () if own or wanted else (NO_UNIT_NOTE,)
         told = (*said, *decoded.notes, *notes, *inspect_samples(acceleration, rate))
         name = decoded.name or source.stem

@@ -43,7 +43,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from feel321.doors import check_rate
+from feel321.arguments import check_rate
 from feel321.stimuli.recording import add_squares, admit
 from feel321.types import Samples
 

@@ -21,7 +21,7 @@ from inspect import signature
 import numpy as np
 from numpy.typing import ArrayLike
 
-from feel321.doors import (
+from feel321.arguments import (
     Registry,
     check_finite,
     check_name,
@@ -31,7 +31,6 @@ from feel321.doors import (
     name_of,
 )
 from feel321.jobs import Workers, gather_results
-from feel321.names import REDUCER_NAMES
 from feel321.stimuli.own_methods import find_reducer
 from feel321.stimuli.recording import (
     SAFE_PEAK,
@@ -43,7 +42,7 @@ from feel321.stimuli.recording import (
     largest,
 )
 from feel321.stimuli.reducers import axes, bands, fourier
-from feel321.types import Reducer, Samples
+from feel321.types import REDUCER_NAMES, Reducer, Samples
 
 _OURS = vars(axes) | vars(fourier) | vars(bands)
 

@@ -26,9 +26,8 @@ from typing import Any
 import numpy as np
 
 from feel321 import __version__, files
-from feel321.doors import as_path, describe, follow
+from feel321.arguments import as_path, describe, follow
 from feel321.jobs import Workers, gather_results
-from feel321.names import ANCHOR, WRITTEN
 from feel321.stimuli.condition import list_steps
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.recording import Recording, largest
@@ -38,7 +37,7 @@ from feel321.stimuli.sets.manifest import Stimulus, StimulusSet, write_manifest
 from feel321.stimuli.sets.recipe import Recipe, Unread
 from feel321.stimuli.thresholds import sensation_level_db, to_db
 from feel321.stimuli.wav import encode_wav
-from feel321.types import PathLike, Progress, Samples
+from feel321.types import ANCHOR, WRITTEN, PathLike, Progress, Samples
 
 BUILT = "built.jsonl"
 PARTS = ".parts"

@@ -17,13 +17,11 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from feel321 import intake
-from feel321.doors import Registry, as_path
-from feel321.files import digest_file, list_csv, write_text
-from feel321.names import ANCHOR
+from feel321.arguments import Registry, as_path
+from feel321.files import digest_file, list_csv, open_text, read_bytes, word_fault, write_text
 from feel321.records import Result
 from feel321.stimuli.wav import read_wav, read_wav_header
-from feel321.types import PathLike, Samples
+from feel321.types import ANCHOR, PathLike, Samples
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -246,9 +244,9 @@ def read_details(folder: Path) -> Details:
 
     path = folder / DETAILS
     try:
-        return TypeAdapter(Details).validate_json(intake.read_bytes(path))
+        return TypeAdapter(Details).validate_json(read_bytes(path))
     except (OSError, ValueError) as error:
-        reason = type(error).__name__ if isinstance(error, OSError) else intake.word_fault(error)
+        reason = type(error).__name__ if isinstance(error, OSError) else word_fault(error)
         do = "restore it from a copy, or, as long as no session was planned with this set, write it anew with"
         raise ValueError(f"{path}: is missing or damaged ({reason}); {do}: feel321 build") from None
 
@@ -293,14 +291,14 @@ def read_stimuli(folder: PathLike) -> StimulusSet:
     sha256, line = digest_file(path), 1
     model, stimuli = TypeAdapter(Stimulus), list[Stimulus]()
     try:
-        with intake.open_text(path) as text:
+        with open_text(path) as text:
             for row in csv.DictReader(text, strict=True):
                 line += 1
                 stimuli.append(_read_row(row, model))
     except csv.Error as error:
         raise ValueError(f"{path}: not a CSV table ({error}); build the set again") from None
     except ValueError as error:
-        said = intake.word_fault(error).removeprefix(f"{path.name}: ")
+        said = word_fault(error).removeprefix(f"{path.name}: ")
         raise ValueError(f"{path}, line {line}: {said}; build the set again") from None
     if not stimuli:
         raise ValueError(f"{path}: holds no stimulus; build the set again")

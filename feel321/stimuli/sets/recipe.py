@@ -40,9 +40,8 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Interval
 
-from feel321.doors import Registry, as_names, check_name, check_rate, describe
+from feel321.arguments import Registry, as_names, check_name, check_rate, describe
 from feel321.extensions import Method, find_method, is_given
-from feel321.names import ANCHOR_NAMES
 from feel321.stimuli.condition import Conditioning, Seconds, make_plain
 from feel321.stimuli.match import (
     HIGHEST_HZ,
@@ -57,7 +56,7 @@ from feel321.stimuli.recording import Recording, largest
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
 from feel321.stimuli.sets.manifest import COLUMNS
 from feel321.stimuli.thresholds import CONTACTOR, THRESHOLDS, acceleration_threshold, loudest_levels
-from feel321.types import Samples
+from feel321.types import ANCHOR_NAMES, Samples
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from feel321 import __version__
-from feel321.doors import check_name
-from feel321.names import ANCHOR, METRIC_INFO
+from feel321.arguments import check_name
 from feel321.stimuli.condition import condition, fade, resample
 from feel321.stimuli.match import (
     OriginalSpectrum,
@@ -31,7 +30,7 @@ from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.stimuli.sets import recipe as recipes
 from feel321.stimuli.sets.recipe import ANCHORS, ORIGINAL, Recipe, Unread
 from feel321.stimuli.thresholds import THRESHOLDS, loudest_levels
-from feel321.types import Metric, Reducer, Samples
+from feel321.types import ANCHOR, METRIC_INFO, Metric, Reducer, Samples
 
 # A stimulus below this share of its recording's level is what rounding left of axes that cancelled: silence.
 ROUNDING = 1e-9

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import fft
 
-from feel321.doors import follow
+from feel321.arguments import follow
 from feel321.files import make_folder, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator import certificate as certificates
@@ -29,6 +29,7 @@ from feel321.study.actuator import rig as rigs
 from feel321.study.actuator.certificate import FOLDER, MEASURED, Certificate, CoilCertificate
 from feel321.study.actuator.output import Bench, OnStep, open_bench
 from feel321.study.actuator.render import find_directions, find_rig_problems
+from feel321.study.actuator.response import Response, Sweep
 from feel321.study.actuator.rig import ActuatorTable, Rig
 from feel321.study.folder import OpenStudy, Outcome, StudyFolder, UsageError
 from feel321.study.settings.read import read_settings
@@ -48,15 +49,13 @@ KEPT = timedelta(days=1)  # for so long a coil need not be measured again
 Coils = Mapping[str, CoilCertificate]
 
 
-def make_sweeps(
-    rig: Rig, *, rate_hz: float, peak: float = 1.0
-) -> tuple[response.Sweep, response.Sweep]:
+def make_sweeps(rig: Rig, *, rate_hz: float, peak: float) -> tuple[Sweep, Sweep]:
     """Make the sweep that is the measurement, and the shorter one before it."""
-    own = rig.calibration
-    main = response.Sweep(
+    own, longest_s = rig.calibration, rigs.MARGIN * rig.limits.duration_s
+    main = Sweep(
         rate_hz=rate_hz,
         band_hz=own.band_hz,
-        duration_s=min(own.sweep_s, rigs.MARGIN * rig.limits.duration_s),
+        duration_s=min(own.sweep_s, longest_s),
         pause_s=own.pause_s,
         n_repeats=own.repeats,
         peak=peak,
@@ -65,7 +64,7 @@ def make_sweeps(
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class CoilRun(response.Response):
+class CoilRun(Response):
     """What was measured of one coil; repeats_db: between equal sweeps; noise_m_s2: RMS while nothing plays."""
 
     levels: Samples
@@ -77,18 +76,18 @@ class CoilRun(response.Response):
 
 def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, made: str) -> CoilRun:
     """Play sweeps of rising level on one coil."""
-    rig, rate_hz = bench.rig, bench.rate_hz
+    rig, rate_hz, levels = bench.rig, bench.rate_hz, (*LADDER, 1.0)
     level = rig.calibration.level * rigs.find_allowed(rig, actuator)
 
-    def sweep(one: response.Sweep) -> tuple[response.Response, Samples]:
+    def sweep(one: Sweep) -> tuple[Response, Samples]:
         recorded = bench.play_sweep(response.make_sweep(one), one, actuator.channel)
         return response.measure_sweep(one, recorded), recorded
 
-    probe, _ = sweep(make_sweeps(rig, rate_hz=rate_hz, peak=PROBE * level)[1])
+    loud, quiet = make_sweeps(rig, rate_hz=rate_hz, peak=PROBE * level)
+    probe, _ = sweep(quiet)
     top = min(level, _find_safe(rig, probe))
-    levels = [share * top for share in LADDER]
-    ladder = [sweep(make_sweeps(rig, rate_hz=rate_hz, peak=one)[1])[0] for one in levels]
-    loud, _ = make_sweeps(rig, rate_hz=rate_hz, peak=top)
+    loud, steps = replace(loud, peak=top), [replace(quiet, peak=one * top) for one in LADDER]
+    ladder = [sweep(step)[0] for step in steps]
     main, recorded = sweep(loud)
     in_band_hz = probe.frequency_hz[probe.inside]
     linearity_db = []
@@ -105,7 +104,7 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
     names = ("frequency_hz", "response", "coherence", "distortion")
     return CoilRun(
         **asdict(main) | {name: getattr(main, name)[kept] for name in names},
-        levels=np.array([*levels, top]),
+        levels=top * np.array(levels),
         linearity_db=np.array(linearity_db),
         repeats_db=float(np.median(repeated_db.std(axis=0, ddof=1))),
         noise_m_s2=noise_m_s2,
@@ -113,7 +112,7 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
     )
 
 
-def _find_safe(rig: Rig, probe: response.Response) -> float:
+def _find_safe(rig: Rig, probe: Response) -> float:
     """Find the peak of a sweep, over full scale, that moves the coil within the limits and the sensor's scale."""
     coherence = float(np.median(probe.coherence[probe.inside]))
     latency_s = probe.latency / probe.rate_hz
@@ -139,7 +138,7 @@ def _find_safe(rig: Rig, probe: response.Response) -> float:
     return rigs.MARGIN * allowed / float((np.abs(probe.response) * ramps).max())
 
 
-def propose_band(rig: Rig, seen: response.Response) -> tuple[response.Band, float]:
+def propose_band(rig: Rig, seen: Response) -> tuple[response.Band, float]:
     """Propose the band of a coil and the gain of its filter in dB: as in rig.toml, or what coil and noise allow."""
     own, size = rig.calibration, np.abs(seen.response)
     if own.max_gain_db is not None:
@@ -204,16 +203,13 @@ def design_coil(rig: Rig, actuator: ActuatorTable, run: CoilRun) -> CoilCertific
         **asdict(inverse),
     )
     flat = run.response * coil.find_filter(run.frequency_hz, rate_hz=run.rate_hz)
-    return judge_filter(rig, coil, run=run, after=replace(run, response=flat))
+    unknown = np.full_like(run.coherence, np.nan)
+    after = replace(run, response=flat, coherence=unknown)
+    return judge_filter(rig, coil, run=run, after=after)
 
 
 def judge_filter(
-    rig: Rig,
-    coil: CoilCertificate,
-    *,
-    run: CoilRun,
-    after: response.Response,
-    is_measured: bool = False,
+    rig: Rig, coil: CoilCertificate, *, run: CoilRun, after: Response
 ) -> CoilCertificate:
     """Compare the response with a filter, measured or calculated, with its target; and add up the uncertainties."""
     off_db = after.find_deviation_db(target=coil.target, band_hz=coil.band_hz)
@@ -235,7 +231,7 @@ def judge_filter(
         coil,
         largest_db=float(np.abs(off_db[worst])),
         worst_hz=float(after.frequency_hz[inside][worst]),
-        least_coherence_after=float(after.coherence[inside].min()) if is_measured else math.nan,
+        least_coherence_after=float(after.coherence[inside].min()),
         equalised=np.interp(coil.frequency_hz, after.frequency_hz, after.response),
         budget=budget,
         uncertainty_db=math.hypot(*budget.values()),
@@ -248,17 +244,16 @@ def verify_coil(bench: Bench, coil: CoilCertificate, run: CoilRun) -> CoilCertif
     sweep, _ = make_sweeps(rig, rate_hz=bench.rate_hz, peak=top)
     asked = response.make_sweep(sweep)
     filtered = coil.equalise(asked)[: len(asked)]
-    scale = min(
-        top / np.abs(filtered).max(), rigs.MARGIN * rig.limits.peak_m_s2 / coil.target / top
-    )
+    most = rigs.MARGIN * rig.limits.peak_m_s2 / coil.target / top
+    scale = min(top / np.abs(filtered).max(), most)
     recorded = bench.play_sweep(scale * filtered, sweep, coil.channel)
     after = response.measure_sweep(sweep, recorded, sent=scale * asked)
-    return judge_filter(rig, coil, run=run, after=after, is_measured=True)
+    return judge_filter(rig, coil, run=run, after=after)
 
 
 def measure_latencies(bench: Bench, coils: Coils) -> dict[str, CoilCertificate]:
     """Measure the latencies of all coils in one recording: a device that ran dry goes on with another latency."""
-    _, quiet = make_sweeps(bench.rig, rate_hz=bench.rate_hz)
+    _, quiet = make_sweeps(bench.rig, rate_hz=bench.rate_hz, peak=1.0)
     turn, n_coils, once = quiet.period, len(coils), response.make_sweep(quiet)[: quiet.period]
     sounds = {}
     for number, coil in enumerate(coils.values()):  # one coil after another, again and again
@@ -270,9 +265,10 @@ def measure_latencies(bench: Bench, coils: Coils) -> dict[str, CoilCertificate]:
         turns = recorded.reshape(len(recorded), -1, n_coils, turn)
         return [turns[:, :, number].reshape(len(recorded), -1) for number in range(n_coils)]
 
-    recorded = bench.insist(
-        sounds, lambda found: max(response.find_slip(one, quiet) for one in cut(found))
-    )
+    def find_slip(recorded: Samples) -> int:
+        return max(response.find_slip(one, quiet) for one in cut(recorded))
+
+    recorded = bench.insist(sounds, find_slip)
     found = {}
     for (name, coil), own in zip(coils.items(), cut(recorded), strict=True):
         sweep = replace(quiet, peak=float(coil.levels[1]))
@@ -311,9 +307,8 @@ def name_run(folder: Path, rig: Rig, actuator: ActuatorTable) -> Path:
     """Name the file of a coil's measurements: another rig, or another scale of the sensor, has others."""
     scale = rig.sensor.model_dump_json() if rig.sensor else ""
     sensor = hashlib.sha256(scale.encode()).hexdigest()
-    return (
-        folder / FOLDER / "sweeps" / f"{rigs.digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"
-    )
+    name = f"{rigs.digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"
+    return folder / FOLDER / "sweeps" / name
 
 
 def read_run(path: Path) -> CoilRun | None:
@@ -342,15 +337,14 @@ class Calibration:
         """Measure the coils, make their filters, and verify them by playing through them."""
         rig, rate_hz, runs = self.rig, self.rate_hz, self.find_runs(within=KEPT)
         rigs.require_sensor(rig)
-        main, quiet = make_sweeps(rig, rate_hz=rate_hz)
+        main, quiet = make_sweeps(rig, rate_hz=rate_hz, peak=1.0)
         n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
         n_coils, n_silent = len(rig.actuators), round(SILENCE_S * rate_hz)
         n_all = n_coils * (n_main + n_quiet) + n_silent
         n_all += (n_coils - len(runs)) * (n_main + (1 + len(LADDER)) * n_quiet)
-        longest, show = max(n_main, n_coils * n_quiet), self.on_step
-        with open_bench(
-            rig, rate_hz=rate_hz, n_longest=longest, total_s=n_all / rate_hz, on_step=show
-        ) as bench:
+        show = {"total_s": n_all / rate_hz, "on_step": self.on_step}
+        n_longest = max(n_main, n_coils * n_quiet)
+        with open_bench(rig, rate_hz=rate_hz, n_longest=n_longest, **show) as bench:
             noise_m_s2 = float(np.linalg.norm(bench.play({}, n=n_silent).std(axis=1)))
             made = self.made.isoformat()
             for actuator in (one for one in rig.actuators if one.name not in runs):
@@ -391,17 +385,17 @@ class Calibration:
 
     def find_runs(self, *, within: timedelta | None = None) -> dict[str, CoilRun]:
         """Find what was measured of the coils on this rig; within: so recently, and since its last certificate."""
-        last, found = self._find_last(), {}
+        last, runs = self._find_last(), dict[str, CoilRun]()
         for actuator in self.rig.actuators:
             run = read_run(name_run(self.folder, self.rig, actuator))
-            own = (self.rate_hz, self.rig.calibration.band_hz)
-            if run is None or (run.rate_hz, run.band_hz) != own:
+            band_hz = self.rig.calibration.band_hz
+            if run is None or (run.rate_hz, run.band_hz) != (self.rate_hz, band_hz):
                 continue
             made = datetime.fromisoformat(run.made)
             is_open = last is None or f"{made:%Y%m%dT%H%M%SZ}" > last.name
             if within is None or (is_open and self.made - made < within):
-                found[actuator.name] = run
-        return found
+                runs[actuator.name] = run
+        return runs
 
     def design(self, runs: Mapping[str, CoilRun]) -> dict[str, CoilCertificate]:
         """Make the filters of all coils, and let them be agreed to."""

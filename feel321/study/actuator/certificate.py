@@ -28,8 +28,7 @@ from pydantic import (
 )
 from scipy import fft, signal
 
-from feel321 import intake
-from feel321.files import create_text, file_named, make_folder
+from feel321.files import create_text, file_named, make_folder, word_fault
 from feel321.study.actuator.response import BAND_HZ, Band, Spectrum, find_inside
 from feel321.study.actuator.rig import AXES, Rig, SensorTable, digest
 from feel321.study.settings.fields import AtLeastOne, Count, Positive, Words
@@ -291,7 +290,7 @@ def read_certificate(path: Path) -> Certificate:
         try:
             return _CERTIFICATE.validate_python(entry)
         except ValidationError as error:
-            raise ValueError(f"{intake.word_fault(error)}; calibrate again") from None
+            raise ValueError(f"{word_fault(error)}; calibrate again") from None
 
 
 def _seal(entry: Mapping[str, Any]) -> str:

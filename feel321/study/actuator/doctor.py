@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from feel321.doors import follow
+from feel321.arguments import follow
 from feel321.study.actuator import certificate as certificates
 from feel321.study.actuator import faults
 from feel321.study.actuator import rig as rigs

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from feel321.doors import check_finite
+from feel321.arguments import check_finite
 from feel321.protocols.threshold import ThresholdBlock, name_tone
 from feel321.stimuli.sets.manifest import Stimulus, StimulusSet
 from feel321.stimuli.wav import read_wav

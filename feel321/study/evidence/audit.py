@@ -22,8 +22,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321 import intake
-from feel321.files import digest_file, list_csv
+from feel321.files import digest_file, list_csv, open_text, read_bytes
 from feel321.stimuli.sets.manifest import check_stimuli, describe_row, read_details, read_stimuli
 from feel321.study import ratings
 from feel321.study.evidence import checkpoints
@@ -125,7 +124,7 @@ def _audit_inputs(study: StudyFolder) -> Iterator[str]:
     """Find which files that the report was made of are other ones now."""
     path = study.report / "results.json"
     try:
-        inputs = json.loads(intake.read_bytes(path))["inputs"]
+        inputs = json.loads(read_bytes(path))["inputs"]
         made = {inputs[role]: inputs[f"{role}_sha256"] for role in ("ratings", "manifest")}
     except (*MALFORMED, OSError, ValueError):
         return
@@ -303,7 +302,7 @@ def _compare_tables(
         if not path.is_file() or path.read_bytes() == "".join(lines).encode():
             continue
         try:
-            with intake.open_text(path) as file:
+            with open_text(path) as file:
                 reader = csv.DictReader(file)
                 written = [(reader.line_num, row) for row in reader]
         except (ValueError, csv.Error) as error:

@@ -18,8 +18,8 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from shlex import quote
 from typing import TYPE_CHECKING, Any
 
-from feel321 import intake
-from feel321.doors import name_of
+from feel321.arguments import name_of
+from feel321.files import open_text
 from feel321.records import to_json_value
 from feel321.study.folder import Outcome
 from feel321.study.participants.roster import read_holder, read_sealed, write_sealed
@@ -72,7 +72,7 @@ def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, s
     former, settings = read_frozen(study), read_settings(study.settings)
     begun = [path.split("/")[1] for path, _ in _list_sessions(study)]
     if study.ratings.is_file():  # where the journals are gone
-        with intake.open_text(study.ratings) as file:
+        with open_text(study.ratings) as file:
             rows = csv.DictReader(file)
             begun += [row["participant"] for row in rows if row.get("simulated") == "false"]
     place = quote(str(study.path))
@@ -170,7 +170,7 @@ def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
     """List the declared slopes: one for each scale and level on which stimuli are rated, and each metric."""
     from feel321.analysis.report.standing import Hypothesis
     from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIRED, RECAST
-    from feel321.names import METRIC_INFO
+    from feel321.types import METRIC_INFO
 
     tasks = settings.list_tasks()
     scales = dict.fromkeys(name for task in tasks for name in (task.scales or (task.protocol,)))
@@ -185,7 +185,7 @@ def _list_hypotheses(settings: Settings) -> Iterator[Hypothesis]:
 
 def list_info(settings: Settings) -> dict[str, MetricInfo]:
     """List what `[metrics.NAME]` declares; a table that only says where a metric's code is declares nothing."""
-    from feel321.analysis.table.metrics import make_info
+    from feel321.analysis.table.columns import make_info
 
     facts = {name: table.to_facts() for name, table in settings.metrics.items()}
     declared = {one.name for one in fields(MetricInfo)}

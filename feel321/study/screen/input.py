@@ -8,14 +8,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from math import copysign
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 from feel321.protocols.texts import MOST_LETTERS, Question
 from feel321.protocols.texts import Answer as QuestionAnswer
 from feel321.protocols.trial import MATCHING, RATING_RANGE, Page, Part, Scale, Trial
 from feel321.study.keys import PLAY, USUAL, KeysTable, label_key, label_texts
 from feel321.study.screen.sheet import Target
-from feel321.study.session.ports import Feel, Felt, Move, Place
+from feel321.study.session.ports import Act, Feel, Felt, Move, Place
 
 if TYPE_CHECKING:
     from feel321.study.observer import Participant
@@ -43,10 +43,8 @@ class InputEvent:
     y: float = 0.0
 
 
-class Stop(NamedTuple):
+class Stop(Act):
     """The participant wants what plays to fall silent."""
-
-    time_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,17 +91,6 @@ class View:
     def can_leave(self) -> bool:
         """Whether there is anything to pause or to end: not on the last page."""
         return self.page is None or self.page.key != LAST_PAGE
-
-
-class Hand:
-    """Watches the screen frame by frame and may press keys; this one does nothing."""
-
-    def watch(self, view: View) -> Sequence[InputEvent]:  # noqa: ARG002 - what others look at
-        """Look at what is on the screen, and return what is done to it."""
-        return ()
-
-    def feel(self, part: Part, stimulus: "Felt | None") -> None:
-        """Feel what is played; None is the real surface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,7 +335,7 @@ THINKING_S = 0.3  # before the first key; answers in less than 0.2 s would count
 TYPED = "text:"  # what an act begins with that types what follows
 
 
-class PressingHand(Hand):
+class PressingHand:
     """A simulated participant: what is on the screen alone decides which key comes next; clock: of the session, in s.
 
     The answers are those of `observer`, so that the same person gives the same ratings (in whole points) here as in

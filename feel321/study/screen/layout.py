@@ -436,40 +436,34 @@ class _TrialLayout:
             top = box.top + room + BELOW * unit
         for place, judgement in enumerate(judged):
             line = Box(box.left, top + place * height, box.width, height)
-            self.add_scale(judgement, line, number=place + 1)
-
-    def add_scale(self, judgement: Judgement, line: Box, *, number: int) -> None:
-        """Draw one of several sliders, with its number, its question and its ends, as large as where there is one."""
-        sheet, view, unit = self.sheet, self.view, self.sheet.unit
-        key, scale = judgement.key, self.scale.find(judgement.scale)
-        is_selected, value = key == view.selected, view.markers.get(key)
-        left, width = line.left + MARGIN * unit, line.width - (2 * MARGIN + VALUE) * unit
-        head = Box(left, line.top, width, sheet.find_height(1, ui.BODY))
-        ink, color = INK if view.can_answer else ui.DIM, ui.BLUE if is_selected else INK
-        sheet.write(head, f"{number}  {scale.question}", ui.BODY, color=ink, bold=True)
-        track = Box(left, head.bottom + 0.4 * unit, width, BLOCK_TRACK * unit)
-        if is_selected:
-            sheet.fill(Box(line.left, head.top, 0.8 * unit, track.bottom - head.top), ui.BLUE)
-        self.add_track(track, value, is_ready=view.can_answer, color=color)
-        words = "" if value is None else f"{value:.0f}"
-        words = f"{view.typed}_" if view.typed and is_selected else words
-        beside = track._replace(left=track.right + unit, width=(MARGIN + VALUE - 1) * unit)
-        sheet.write(beside, words, ui.BODY, bold=True, align="right")
-        top, step = track.bottom + 0.2 * unit, head.height
-        low = Box(left, top, LABEL * width, step)
-        sheet.write(low, scale.low_label, ui.BODY)
-        high = low._replace(left=track.right - low.width)
-        sheet.write(high, scale.high_label, ui.BODY, align="right")
-        # Its words stand between the ends; the first and the last say what the labels do.
-        if middle := scale.anchors[1:-1]:
-            labels = (scale.low_label, scale.high_label)
-            room = width - 2 * max(sheet.measure(label, ui.BODY) for label in labels)
-            self.write_along(track, top, ["", *middle, ""])
-            if sheet.measure("  ".join(middle), ui.SMALL) > room:
-                sheet.faults.append("its anchors must fit between its labels; shorten them")
-        if view.can_answer:
-            target = Box(left - unit, head.top, width + 2 * unit, top + step - head.top)
-            sheet.targets.append(Target(target, "mark", key, track))
+            key, scale = judgement.key, self.scale.find(judgement.scale)
+            is_selected, value = key == view.selected, view.markers.get(key)
+            left, width = line.left + MARGIN * unit, line.width - (2 * MARGIN + VALUE) * unit
+            head = Box(left, line.top, width, sheet.find_height(1, ui.BODY))
+            ink, color = INK if view.can_answer else ui.DIM, ui.BLUE if is_selected else INK
+            sheet.write(head, f"{place + 1}  {scale.question}", ui.BODY, color=ink, bold=True)
+            track = Box(left, head.bottom + 0.4 * unit, width, BLOCK_TRACK * unit)
+            if is_selected:
+                sheet.fill(Box(line.left, head.top, 0.8 * unit, track.bottom - head.top), ui.BLUE)
+            self.add_track(track, value, is_ready=view.can_answer, color=color)
+            words = "" if value is None else f"{value:.0f}"
+            words = f"{view.typed}_" if view.typed and is_selected else words
+            beside = track._replace(left=track.right + unit, width=(MARGIN + VALUE - 1) * unit)
+            sheet.write(beside, words, ui.BODY, bold=True, align="right")
+            low = Box(left, track.bottom + 0.2 * unit, LABEL * width, head.height)
+            sheet.write(low, scale.low_label, ui.BODY)
+            high = low._replace(left=track.right - low.width)
+            sheet.write(high, scale.high_label, ui.BODY, align="right")
+            # Its words stand between the ends; the first and the last say what the labels do.
+            if middle := scale.anchors[1:-1]:
+                labels = (scale.low_label, scale.high_label)
+                room = width - 2 * max(sheet.measure(label, ui.BODY) for label in labels)
+                self.write_along(track, low.top, ["", *middle, ""])
+                if sheet.measure("  ".join(middle), ui.SMALL) > room:
+                    sheet.faults.append("its anchors must fit between its labels; shorten them")
+            if view.can_answer:
+                target = Box(left - unit, head.top, width + 2 * unit, low.bottom - head.top)
+                sheet.targets.append(Target(target, "mark", key, track))
 
 
 def find_overflows(

@@ -11,7 +11,15 @@ from math import ceil, inf
 from feel321.protocols.texts import Question
 from feel321.protocols.trial import Page, Part, Scale, Trial
 from feel321.study.actuator.output import Output
-from feel321.study.screen.input import Answer, Form, Hand, InputEvent, ScreenTexts, Stop, View
+from feel321.study.screen.input import (
+    Answer,
+    Form,
+    InputEvent,
+    PressingHand,
+    ScreenTexts,
+    Stop,
+    View,
+)
 from feel321.study.screen.layout import compose
 from feel321.study.screen.sheet import Sheet
 from feel321.study.screen.window import Window
@@ -37,10 +45,10 @@ class ScreenPresenter:
         *,
         clock: Callable[[], float],
         surfaces: Mapping[str, Surface],
-        hand: Hand | None = None,
+        hand: PressingHand | None = None,
     ) -> None:
         self._window, self._output, self._texts, self._clock = window, output, texts, clock
-        self._surfaces, self._hand = surfaces, hand or Hand()
+        self._surfaces, self._hand = surfaces, hand
         self._view = View("page", "reading", 0, Place(0, 0))
         self._composed: tuple[View, Sheet] = (self._view, Sheet(0, 0))
         self._answer: Answer  # to the trial on the screen
@@ -59,7 +67,7 @@ class ScreenPresenter:
         self._events.clear()
         self._show_frame()
 
-    def _listen(self) -> Iterator[Act | Stop]:
+    def _listen(self) -> Iterator[Act]:
         """Show a frame, and list what the participant wants; what is left of a frame waits for the next call."""
         self._show_frame()
         while self._events:
@@ -89,12 +97,13 @@ class ScreenPresenter:
         if view.trial is not None:
             names = ("markers", "selected", "chosen", "typed", "loops")
             view = replace(view, **{name: getattr(self._answer, name) for name in names})
-        self._events.extend(self._hand.watch(view))
+        if self._hand:
+            self._events.extend(self._hand.watch(view))
         if view != self._composed[0]:
             self._composed = view, compose(view, self._texts, size=self._window.size)
         self._events.extend(self._window.show(self._composed[1].items))
 
-    def _interpret(self, event: InputEvent) -> Act | Stop | None:
+    def _interpret(self, event: InputEvent) -> Act | None:
         trial, page, time_s = self._view.trial, self._view.page, event.time_s
         targets = self._composed[1].targets if event.kind == "click" else []
         target = next((t for t in targets if t.box.contains(event.x, event.y)), None)
@@ -115,7 +124,7 @@ class ScreenPresenter:
             self._paused_s = -inf if is_second else time_s
             return Pause(time_s) if is_second else None
         if name in {"confirm", "stop"}:
-            return Confirm(time_s, {}) if name == "confirm" else Stop(time_s)
+            return Confirm(time_s) if name == "confirm" else Stop(time_s)
         if self._form is not None:
             self._form.take(event, target)
         if trial is None:
@@ -171,9 +180,7 @@ class ScreenPresenter:
         self, part: Part, stimulus: ports.Felt, *, gap_s: float, due_s: float | None = None
     ) -> Playback:
         """Play a stimulus to its end, or until the participant stops it."""
-        self._view = replace(self._view, state="feeling", playing=part.name)
-        self._show_frame()
-        self._hand.feel(part, stimulus)
+        self._begin_part(part, "feeling", stimulus)
         answer, goes_round = self._answer, self._goes_round
         late, goes_on = self._window.late_frames, self._is_switching and answer.loops
         self._goes_round = self._is_switching = False
@@ -216,9 +223,7 @@ class ScreenPresenter:
 
     def prompt(self, part: Part) -> Playback:
         """Ask the participant to stroke the real surface, and wait until that is done."""
-        self._view = replace(self._view, state="stroking", playing=part.name)
-        self._show_frame()
-        self._hand.feel(part, None)
+        self._begin_part(part, "stroking", None)
         began_s = self._clock()
         while True:
             for wish in self._listen():
@@ -226,6 +231,12 @@ class ScreenPresenter:
                     end = None if isinstance(wish, Confirm) else wish
                     self._end_part(part, is_felt=end is None)
                     return Playback(began_s, began_s, completed=end is None, act=end)
+
+    def _begin_part(self, part: Part, state: str, stimulus: ports.Felt | None) -> None:
+        self._view = replace(self._view, state=state, playing=part.name)
+        self._show_frame()
+        if self._hand:
+            self._hand.feel(part, stimulus)
 
     def _end_part(self, part: Part, *, is_felt: bool) -> None:
         # What was felt to its end stays felt, though it be cut short when it is felt again.
@@ -257,7 +268,7 @@ class ScreenPresenter:
             names = [str(trial.judged.index(part) + 1) for part in parts]
         self._notice = self._texts.refusals[reason].format(parts=", ".join(names))
 
-    def _list_acts(self, wish: Act | Stop) -> Iterator[Act]:
+    def _list_acts(self, wish: Act) -> Iterator[Act]:
         """Complete a wish; markers come to rest before anything else is done."""
         time_s, answer = wish.time_s, self._answer
         if isinstance(wish, Pause | Abort):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 from pydantic_core import to_json
 
-from feel321.intake import word_fault
+from feel321.files import word_fault
 from feel321.protocols.trial import DEVICE_FLAGS, FLAGS, LOST, MATCHING, SPOILED, VALID
 
 if TYPE_CHECKING:

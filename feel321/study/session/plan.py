@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from annotated_types import Interval
 
-from feel321.files import create_text
-from feel321.intake import word_fault
+from feel321.files import create_text, word_fault
 from feel321.protocols import order as orders
 from feel321.protocols import threshold as blocks
 from feel321.protocols import trial as trials_of

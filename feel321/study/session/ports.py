@@ -6,7 +6,7 @@ it stopped when a session is resumed.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol, TypeAlias
 
@@ -69,62 +69,60 @@ class Scaled:
 Felt: TypeAlias = Stimulus | Tone | Scaled
 
 
+@dataclass(frozen=True, slots=True)
+class Act:
+    """What the participant does, and when."""
+
+    time_s: float
+
+
+class Pause(Act):
+    """The participant wants to pause."""
+
+
+class TimedOut(Act):
+    """The time for an answer is over."""
+
+
+@dataclass(frozen=True, slots=True)
+class Abort(Act):
+    """The session ends here for today: the participant does not go on, or the window was closed."""
+
+    reason: str
+
+
 @dataclass(frozen=True)
 class Playback(Played):
     """The playback of a stimulus, or a stroke over the real surface; act: by which the participant cut it short."""
 
-    act: "Pause | Abort | None" = None
+    act: Pause | Abort | None = None
 
 
 @dataclass(frozen=True, slots=True)
-class Feel:
+class Feel(Act):
     """The participant wants to feel a part, or all parts again (part is empty)."""
 
-    time_s: float
     part: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Move:
+class Move(Act):
     """A marker came to rest; part: as in `Trial.judged`, value: in points."""
 
-    time_s: float
     part: str
     value: float
 
 
 @dataclass(frozen=True, slots=True)
-class Confirm:
-    """The participant is done with a page, a question or a trial."""
+class Confirm(Act):
+    """The participant is done with a page, a question or a trial.
 
-    time_s: float
-    values: Mapping[str, float | str]  # by `Trial.judged`, or by the name of a question
-    response_time_s: float = 0.0  # since an answer became possible, or the page appeared
+    values: by `Trial.judged`, or by the name of a question. response_time_s: since an answer became possible, or the
+    page appeared.
+    """
 
-
-@dataclass(frozen=True, slots=True)
-class Pause:
-    """The participant wants to pause."""
-
-    time_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Abort:
-    """The session ends here for today: the participant does not go on, or the window was closed."""
-
-    time_s: float
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class TimedOut:
-    """The time for an answer is over."""
-
-    time_s: float
-
-
-Act = Feel | Move | Confirm | Pause | Abort | TimedOut
+    values: Mapping[str, float | str] = field(default_factory=dict)
+    response_time_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

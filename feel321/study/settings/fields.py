@@ -19,8 +19,8 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 from pydantic_core.core_schema import ValidationInfo
 
-from feel321 import intake
 from feel321.extensions import is_given
+from feel321.files import clip, read_small
 
 UNSAID = re.compile(r"str|int|float|constrained-\w+|tuple\[.*|\[key\]")
 """What pydantic adds to a place, and is no key: the kind of a value, or that a name is not allowed."""
@@ -150,7 +150,7 @@ def parse_toml(path: Path, model: type[Whole]) -> Whole:
     """Read a TOML file into the table that it is to be."""
     try:
         # By way of JSON, where strict reading takes an array for a tuple, but no "5" or true for a number.
-        tables = tomllib.loads(intake.read_small(path))
+        tables = tomllib.loads(read_small(path))
         _switch_off(tables, [model])
         content = json.dumps(tables, default=_refuse_time)
     except TypeError as error:
@@ -217,7 +217,7 @@ def _translate(detail: ErrorDetails, model: type[TomlTable]) -> str:
             reason += ' or "off"' * _may_be_off(kind)
     # Whole tables are too long to repeat, and some reasons say themselves what was found.
     value = repr(detail["input"])
-    got = "" if "{" in value or "got " in reason else f"got {intake.clip(value)}"
+    got = "" if "{" in value or "got " in reason else f"got {clip(value)}"
     if not reason.startswith("must "):
         return f"{place}: {got}{', ' if got else ''}{reason}"
     rule, _, remedy = reason.partition("; ")

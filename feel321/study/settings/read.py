@@ -13,11 +13,9 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from feel321 import intake
-from feel321.doors import describe, name_of, refuse_name
+from feel321.arguments import describe, name_of, refuse_name
 from feel321.extensions import FORMS, Method, find_method, is_given, list_entry_points
-from feel321.files import create_text, make_folder, temporary_folder, write_text
-from feel321.names import ANCHOR_NAMES, METRIC_INFO, WRITTEN
+from feel321.files import create_text, make_folder, read_small, temporary_folder, write_text
 from feel321.protocols.tasks import PROTOCOLS, digest_protocols
 from feel321.protocols.texts import read_texts
 from feel321.protocols.threshold import MatchingBlock
@@ -52,7 +50,7 @@ from feel321.study.settings.schema import (
     Settings,
     TaskTable,
 )
-from feel321.types import Metric, Reducer
+from feel321.types import ANCHOR_NAMES, METRIC_INFO, WRITTEN, Metric, Reducer
 
 CONSENT = "consent"  # the page whose text a lab can set by itself
 
@@ -136,7 +134,7 @@ def _make_plain(name: str, value: object) -> Any:  # noqa: ANN401 - whatever TOM
 def edit_settings(path: Path, changes: Mapping[str, object]) -> None:
     """Change settings in a `study.toml`, which is left as it is if a setting is refused."""
     read_settings(path)
-    before = intake.read_small(path)
+    before = read_small(path)
     newline = "\r\n" if "\r\n" in before else "\n"
     text = change_settings(before.replace("\r\n", "\n"), changes).replace("\n", newline)
     with temporary_folder() as folder:
@@ -160,7 +158,7 @@ def add_methods(study: StudyFolder) -> None:
         "stimuli.metrics": ["snr"],
         "session.protocols": ["realism", "similarity", "methods/roughness.py:roughness"],
     }
-    text = change_settings(intake.read_small(study.settings), changes)
+    text = change_settings(read_small(study.settings), changes)
     tables = (TEMPLATES / "methods" / "tables.toml").read_text(encoding="utf-8")
     write_text(study.settings, text + tables)
 

@@ -12,9 +12,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
-from feel321 import intake
-from feel321.doors import name_of
-from feel321.names import ANCHOR_NAMES, NO_NUMBER, PaperClaim, Provenance
+from feel321.arguments import name_of
+from feel321.files import check_samples
 from feel321.protocols import texts
 from feel321.protocols.order import ORDERS, TASK_ORDERS
 from feel321.protocols.tasks import make_task
@@ -27,6 +26,7 @@ from feel321.protocols.threshold import (
     name_tone,
 )
 from feel321.protocols.trial import CHOOSING, Breaks, Quality, Rounds, Task
+from feel321.records import NO_NUMBER, PaperClaim, Provenance
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
@@ -46,6 +46,7 @@ from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, 
 from feel321.study.own_protocols import OURS, name_protocols
 from feel321.study.session.plan import Stale
 from feel321.study.settings import fields as kinds
+from feel321.types import ANCHOR_NAMES
 
 _BLOCK = ThresholdBlock("bayesian", (), USUAL)  # whose defaults are the study's
 
@@ -109,7 +110,7 @@ class RecordingTable(kinds.TomlTable):
             raise ValueError(f"{wrong[0]} does not go with {given[0]}; leave it out")
         if self.scene:
             rate_hz = self.rate_hz or SCENE_RATE_HZ
-            intake.check_samples(math.ceil(self.duration_s * rate_hz), AXES, rate_hz)
+            check_samples(math.ceil(self.duration_s * rate_hz), AXES, rate_hz)
         return self
 
     @property

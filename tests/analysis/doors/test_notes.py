@@ -9,8 +9,8 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.association import correlate
+from feel321.analysis.table.columns import FURTHER, describe_manifest
 from feel321.analysis.table.items import split_tests
-from feel321.analysis.table.metrics import FURTHER, describe_manifest
 from feel321.analysis.table.reading import ROSTER, read_table
 from feel321.analysis.table.schema import RATINGS
 from feel321.stimuli.sets.manifest import COLUMN_UNITS

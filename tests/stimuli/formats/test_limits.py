@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from feel321 import intake
+from feel321.files import LIMIT
 from feel321.stimuli import read_recording, write_wav
 from tests.stimuli.formats.hostile import HOSTILE
 
@@ -47,14 +47,14 @@ def test_the_limit_can_be_raised_as_its_message_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_wav(tmp_path / "a.wav", np.random.default_rng(1).normal(size=(3, 100_000)), 10_000)
-    monkeypatch.setenv(intake.LIMIT, "1")
+    monkeypatch.setenv(LIMIT, "1")
     with pytest.raises(ValueError, match="at most 1 MB") as caught:
         read_recording(tmp_path / "a.wav", unit="g")
-    setting = str(caught.value).partition(f"{intake.LIMIT}=")[2].split()[0]
-    monkeypatch.setenv(intake.LIMIT, setting)
+    setting = str(caught.value).partition(f"{LIMIT}=")[2].split()[0]
+    monkeypatch.setenv(LIMIT, setting)
     assert read_recording(tmp_path / "a.wav", unit="g").acceleration.shape == (3, 100_000)
-    monkeypatch.setenv(intake.LIMIT, "much")
-    with pytest.raises(ValueError, match=f"{intake.LIMIT} must be a number .* got 'much'"):
+    monkeypatch.setenv(LIMIT, "much")
+    with pytest.raises(ValueError, match=f"{LIMIT} must be a number .* got 'much'"):
         read_recording(tmp_path / "a.wav", unit="g")
 
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from feel321.names import METRIC_INFO
 from feel321.stimuli.metrics import METRICS
 from feel321.stimuli.rivals import RIVALS
 from feel321.stimuli.rotation import random_rotations
+from feel321.types import METRIC_INFO
 
 RATE = 4000.0
 EVERY = pytest.mark.parametrize("name", list(RIVALS))

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from feel321.names import MATCHES
 from feel321.stimuli.condition import Conditioning, condition, list_steps
 from feel321.stimuli.formats.read import read_recording
 from feel321.stimuli.match import spectral_match
@@ -19,6 +18,7 @@ from feel321.stimuli.rivals import RIVALS
 from feel321.stimuli.synthesis import make_scene
 from feel321.stimuli.wav import read_wav, write_wav
 from feel321.study.cli import main
+from feel321.types import MATCHES
 
 Capture = pytest.CaptureFixture[str]
 

@@ -18,7 +18,7 @@ from typing import Any
 from feel321.protocols.tasks import make_task
 from feel321.protocols.texts import read_scales, read_texts
 from feel321.protocols.trial import Flow, Page
-from feel321.study.screen.input import Hand, View, make_screen_texts
+from feel321.study.screen.input import View, make_screen_texts
 from feel321.study.screen.layout import compose
 from feel321.study.screen.presenter import ScreenPresenter
 from feel321.study.screen.window import Window, open_screen
@@ -123,12 +123,15 @@ class SilentOutput:
         )
 
 
-class Watcher(Hand):
+class Watcher:
     """Tells what is on the screen whenever that changes, and what can be clicked."""
 
     def __init__(self, texts: Any, window: Window) -> None:
         self.texts, self.window, self.last = texts, window, None
         self.orders = Orders()
+
+    def feel(self, *_: Any) -> None:
+        """Feel nothing."""
 
     def watch(self, view: View) -> tuple[()]:
         self.orders.obey()

@@ -1,58 +1,62 @@
-"""Metrics as columns of a table: what each declares of itself, which others are explored, steps to report slopes by.
+"""Columns of tables: which are metrics and what each declares of itself, and the dictionary of every CSV file.
 
 Any numeric column of a manifest is a metric. What it declares (`feel321.types.MetricInfo`) comes, the first that says
 so, from the caller (`[metrics.NAME]` in ``study.toml``), from ``metrics`` in the ``manifest.json`` beside the
 manifest, or from `feel321.stimuli.METRIC_INFO`. Nothing declared: higher is better, no bounds, its name for a label.
+
+`dictionary.csv` beside this module is the only list of what columns are: its ``file`` is a pattern, and a row for one
+file goes before one for all. Ends of intervals and tests (``slope_low``, ``slope_p``) follow from the column they
+belong to, metrics from what they declare.
 """
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import asdict, dataclass, fields, replace
+from fnmatch import fnmatch
+from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
+from pandas import DataFrame, Series
 
 from feel321.analysis.table import schema
-from feel321.names import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN
-from feel321.types import MetricInfo
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
+from feel321.types import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN, MetricInfo
 
 DECLARED = "manifest.json"
 """File beside a manifest whose ``metrics`` say what the columns of metrics are."""
 
 TENTH = 0.1  # Step of a metric that is a share, such as a match from 0 to 1
 ROUNDING = 1e-9  # Share of a bound by which a value may pass it: files hold rounded numbers
-KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
-    "rotation_mean": ("mean of the {} over random orientations of the sensor", MATCHES),
-    "rotation_sd": ("standard deviation of the {} over random orientations of the sensor", MATCHES),
-    "delivered": ("{} of the signal as it was delivered", MATCHES),
-    "energy_weighted": ("{} with frequencies weighted by their energy", ("spectral_match",)),
-    "invariant": ("counterpart of the {} that no orientation changes", ("temporal_match",)),
-}
-"""Suffix of a metric's name -> meaning, and the metrics that have it: per stimulus in the manifest, or per judgement in
-the ratings, where a stimulus has the mean over its judgements."""
-
 FURTHER: Mapping[str, str] = {
-    f"{metric}_{kind}": meaning.format(metric.replace("_", " "))
-    for metric in MATCHES
-    for kind, (meaning, of) in KINDS.items()
-    if metric in of
-}
-"""Column derived from a metric and explored beside those that were planned -> what it is."""
+    "spectral_match_rotation_mean": "mean of the spectral match over random orientations of the sensor",
+    "spectral_match_rotation_sd": "standard deviation of the spectral match over random orientations of the sensor",
+    "spectral_match_delivered": "spectral match of the signal as it was delivered",
+    "spectral_match_energy_weighted": "spectral match with frequencies weighted by their energy",
+    "temporal_match_rotation_mean": "mean of the temporal match over random orientations of the sensor",
+    "temporal_match_rotation_sd": "standard deviation of the temporal match over random orientations of the sensor",
+    "temporal_match_delivered": "temporal match of the signal as it was delivered",
+    "temporal_match_invariant": "counterpart of the temporal match that no orientation changes",
+    "spectral_match_bounded_rotation_mean": "mean of the spectral match bounded over random orientations of the sensor",
+    "spectral_match_bounded_rotation_sd":
+        "standard deviation of the spectral match bounded over random orientations of the sensor",
+    "spectral_match_bounded_delivered": "spectral match bounded of the signal as it was delivered",
+}  # fmt: skip
+"""Column derived from a metric and explored beside those that were planned -> what it is: per stimulus in the manifest,
+or per judgement in the ratings, where a stimulus has the mean over its judgements."""
 
-_LABELS = {name: METRIC_INFO[name].label for name in MATCHES}
+LABELS = {name: METRIC_INFO[name].label for name in MATCHES}
 ROTATIONS: Mapping[str, MetricInfo] = {
     f"{name}_rotation_mean": replace(METRIC_INFO[name], label=f"mean {label} over orientations")
-    for name, label in _LABELS.items()
+    for name, label in LABELS.items()
 } | {
     f"{name}_rotation_sd": MetricInfo(f"spread of the {label} over orientations", "worse", low=0.0)
-    for name, label in _LABELS.items()
+    for name, label in LABELS.items()
 }
 """Rotation statistics (Park & Kuchenbecker 2019), computed by `analyze`; a study may declare them."""
 
@@ -75,20 +79,16 @@ def describe_manifest(metrics: Iterable[str] = ()) -> dict[str, str]:
 
 def list_numeric(cells: DataFrame) -> list[str]:
     """List the columns, read as text, that hold numbers and are no identity: all that may be used as a metric."""
-    import pandas as pd
-
     found = []
     for name in (name for name in map(str, cells) if name not in NOT_METRICS):
         filled = cells.loc[cells[name] != "", name]
-        share = pd.to_numeric(filled, errors="coerce").notna().mean() if len(filled) else 0
-        found += [name] if share > schema.MOSTLY else []
+        if len(filled) and pd.to_numeric(filled, errors="coerce").notna().mean() > schema.MOSTLY:
+            found.append(name)
     return found
 
 
 def read_attributes(manifest: Path | DataFrame) -> DataFrame:
     """Read every numeric column of a manifest that may say what stimuli are like, by stimulus_id."""
-    import pandas as pd
-
     cells = schema.read_cells(manifest).set_index("stimulus_id")
     out = {schema.GAIN} | {name for name, kind in schema.MANIFEST.items() if kind == schema.UNUSED}
     names = [name for name in list_numeric(cells) if name not in out]
@@ -141,8 +141,7 @@ def refuse_unbounded(
             schema.refuse_lines(beyond, what, must=f"be {format_bounds(one)}", do=do)
         first = schema.shorten(str(sheet.loc[beyond.index[0], "stimulus_id"]))
         side = f"above {one.high:g}" if beyond.iloc[0] > one.high else f"below {one.low:g}"
-        many = f"for {len(beyond)} stimuli, first {first}"
-        yield f"'{name}' is {side}, which no match can be, {many}."
+        yield f"'{name}' is {side}, which no match can be, for {len(beyond)} stimuli, first {first}."
 
 
 def format_bounds(info: MetricInfo) -> str:
@@ -170,9 +169,8 @@ def find_steps(
     """
     steps = {}
     for name in metrics:
-        one = info.get(name)
+        one, values = info.get(name), items[name].astype(float)
         share = one is not None and not one.unit and abs(one.high) == 1
-        values = items[name].astype(float)
         within = (values - values.groupby(items["recording"]).transform("mean")).dropna()
         span = float(np.subtract(*np.percentile(within, [75, 25]))) if len(within) else 0.0
         tenth = share or not span > 0
@@ -185,3 +183,90 @@ def order_reducers(names: Iterable[str]) -> list[str]:
     """Put reducer names into the order of `feel321.stimuli.REDUCERS`; unknown ones follow by alphabet."""
     found = set(names)
     return [name for name in REDUCER_NAMES if name in found] + sorted(found - set(REDUCER_NAMES))
+
+
+# The data dictionary: type, unit, allowed values and meaning of every column.
+
+DICTIONARY = "dictionary.csv"  # The file beside the tables that it describes
+DERIVED: Mapping[str, tuple[str, str]] = {
+    "low": ("lower end of the 95 % interval of {}", ""),
+    "high": ("upper end of the 95 % interval of {}", ""),
+    "se": ("standard error of {}", "0 or more"),
+    "df": ("degrees of freedom of {}", "above 0"),
+    "t": ("t statistic of {}", ""),
+    "p": ("p of {}", "0 to 1"),
+    "w": ("{} within recordings: less the mean over its recording's stimuli", ""),
+    "b": ("{} between recordings: the mean over its recording's stimuli", ""),
+    "step": ("{} within recordings, in steps (see slopes.csv)", ""),
+}
+"""Suffix of a column -> meaning of what stands for the rest of its name, and what is allowed."""
+
+UNITLESS = {"df", "t", "p", "step"}
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A column of a file, as the dictionary describes it."""
+
+    file: str
+    column: str
+    type: str
+    unit: str = ""
+    allowed: str = ""
+    meaning: str = ""
+
+
+@cache
+def read_dictionary() -> tuple[Variable, ...]:
+    """Read the list; rows for one file first."""
+    with Path(__file__).with_name(DICTIONARY).open(encoding="utf-8", newline="") as file:
+        rows = [Variable(**row) for row in csv.DictReader(file)]
+    rows.sort(key=lambda row: ("*" in row.column, row.file == "*", "*" in row.file))
+    return tuple(rows)
+
+
+def make_dictionary(
+    tables: Mapping[str, DataFrame], info: Mapping[str, MetricInfo] | None = None
+) -> DataFrame:
+    """Describe the columns of tables by file, such as ``tradeoff/points.csv``; info: what further metrics declare."""
+    itself = pd.DataFrame([asdict(read_dictionary()[0])])
+    return pd.DataFrame(
+        asdict(describe_column(file, str(name), frame[name], info=info or {}))
+        for file, frame in {**tables, DICTIONARY: itself}.items()
+        for name in frame
+    )
+
+
+def describe_column(
+    file: str, column: str, values: Series, *, info: Mapping[str, MetricInfo]
+) -> Variable:
+    """Describe a column; one that nothing is known of has no meaning, and the type of its values."""
+    from pandas.api.types import is_bool_dtype, is_integer_dtype, is_numeric_dtype
+
+    kinds = {"flag": is_bool_dtype, "integer": is_integer_dtype, "number": is_numeric_dtype}
+    kind = next((name for name, is_kind in kinds.items() if is_kind(values)), "text")
+    found = next(_find(file, column, info), Variable(file, column, kind))
+    return replace(found, file=file.rsplit("/", 1)[-1], column=column)
+
+
+@cache
+def _read_rows(file: str) -> tuple[Variable, ...]:
+    """Read the list's rows for a file."""
+    names = (file, file.rsplit("/", 1)[-1])
+    return tuple(row for row in read_dictionary() if any(fnmatch(one, row.file) for one in names))
+
+
+def _find(file: str, column: str, info: Mapping[str, MetricInfo]) -> Iterator[Variable]:
+    yield from (row for row in _read_rows(file) if fnmatch(column, row.column))
+    if one := {**METRIC_INFO, **ROTATIONS, **info}.get(column):
+        better = "larger is better" if one.higher == "better" else "smaller is better"
+        told = f"metric: {one.label}; {better}"
+        yield Variable(file, column, "number", one.unit, format_bounds(one), told)
+    if column in FURTHER:
+        yield Variable(file, column, "number", meaning=f"metric: {FURTHER[column]}")
+    base, _, end = column.rpartition("_")
+    for one_of in _find(file, base, info) if end in DERIVED else ():
+        meaning, allowed = DERIVED[end]
+        told = meaning.format(one_of.meaning.split(":")[-1].split(";")[0].strip() or base)
+        unit = "" if end in UNITLESS else one_of.unit
+        yield Variable(file, column, "number", unit, allowed, told)
