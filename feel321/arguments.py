@@ -128,9 +128,8 @@ def coerce_real(values: ArrayLike, what: str) -> NDArray[np.float64]:
     try:
         given = np.asarray(values)
     except ValueError as error:
-        raise ValueError(
-            f"{what} must be one array, got rows of unequal lengths ({error})"
-        ) from None
+        must = f"{what} must be one array"
+        raise ValueError(f"{must}, got rows of unequal lengths ({error})") from None
     if given.dtype.kind not in "biuf":
         raise ValueError(f"{what} must be real numbers, got values of type {given.dtype}")
     if np.ma.is_masked(values):
@@ -149,9 +148,8 @@ def check_finite(samples: NDArray[np.float64], what: str) -> None:
     bad = np.argwhere(~np.isfinite(samples))
     if len(bad):
         place = ", ".join(str(i) for i in bad[0])
-        raise ValueError(
-            f"{what} must be finite, got {len(bad)} values that are not (first at {place}); remove or correct them"
-        )
+        must = f"{what} must be finite, got {len(bad)} values that are not (first at {place})"
+        raise ValueError(f"{must}; remove or correct them")
 
 
 def check_rate(rate_hz: SupportsFloat | str, what: str = "rate_hz", unit: str = " of Hz") -> float:

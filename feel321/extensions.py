@@ -38,6 +38,7 @@ from re import fullmatch
 from typing import Any, Literal
 
 from feel321.arguments import describe, refuse_name
+from feel321.files import clip
 
 GROUPS: Mapping[str, str] = {  # kind of method -> group of entry points; the only list of kinds
     "reducer": "feel321.reducers",
@@ -47,7 +48,7 @@ GROUPS: Mapping[str, str] = {  # kind of method -> group of entry points; the on
 
 OWN_FORMS = "mylab.haptics:my321, or methods/my321.py:my321"
 FORMS = f"a registered name, {OWN_FORMS}"  # how a method is given, for messages
-LONGEST_REASON = 200  # characters of a lab's own error message that are repeated
+LONGEST_REASON = 203  # characters of a lab's own error message that are repeated
 
 _TURN = threading.RLock()
 """Held while a lab's code runs: standard output belongs to the process, and few functions expect two callers."""
@@ -115,16 +116,13 @@ def find_method(
         found = _find_declared(kind, given, tables[given], folder=folder)
     else:
         found = _find_named(kind, given, folder=folder, known=[*taken, *tables])
-    if not fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", found.name):
+    name, what = found.name, f"{kind} {found.place!r}"
+    if not fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", name):
         remedy = "give it a name with def" if found.origin == "function" else "rename it"
-        raise ValueError(
-            f"{kind} {found.place!r}: its name must be up to 60 letters (A-Z), digits and _, beginning with a letter, "
-            f"got {found.name!r}; {remedy}"
-        )
-    if found.name.casefold() in {name.casefold() for name in taken}:
-        raise ValueError(
-            f"{kind} {found.place!r}: the name {found.name!r} is taken by one of feel321's own; rename it"
-        )
+        what = "up to 60 letters (A-Z), digits and _, beginning with a letter"
+        raise ValueError(f"{what}: its name must be {what}, got {name!r}; {remedy}")
+    if name.casefold() in {one.casefold() for one in taken}:
+        raise ValueError(f"{what}: the name {name!r} is taken by one of feel321's own; rename it")
     return found
 
 
@@ -144,11 +142,10 @@ def _read_entry_points(kind: str, path: tuple[str, ...]) -> Mapping[str, str]:  
 
     found: dict[str, str] = {}
     for point in sorted(entry_points(group=GROUPS[kind]), key=lambda one: (one.name, one.value)):
-        if found.setdefault(point.name, point.value) != point.value:
-            raise ValueError(
-                f"{kind} {point.name!r} is declared by two installed packages, as {found[point.name]} and "
-                f"{point.value}; uninstall one, or name it by its place"
-            )
+        if (first := found.setdefault(point.name, point.value)) != point.value:
+            both = f"is declared by two installed packages, as {first} and {point.value}"
+            what = f"{kind} {point.name!r} {both}"
+            raise ValueError(f"{what}; uninstall one, or name it by its place")
     return types.MappingProxyType(found)
 
 
@@ -157,40 +154,34 @@ def _find_declared(kind: str, name: str, table: Mapping[str, Any], *, folder: Pa
     own = {key: value for key, value in table.items() if value is not None}
     forms = {form: own.pop(form) for form in ("use", "command") if form in own}
     if len(forms) != 1:
-        raise ValueError(
-            f'{kind} {name!r}: its table must say either use = "..." or command = "..."; use takes {FORMS}'
-        )
+        must = 'its table must say either use = "..." or command = "..."'
+        raise ValueError(f"{kind} {name!r}: {must}; use takes {FORMS}")
     (form, place), facts = *forms.items(), tuple(sorted(own.items()))
     if form == "use":
         found = _find_named(kind, place, folder=folder)
         return replace(found, name=name, facts=facts, folder=folder)
-    files = _list_named(kind, name, place, folder=folder)
+    # The files of the study that the command names are part of its code.
+    words = {part for word in split_command(kind, name, place) for part in (word, *word.split())}
+    files = {}
+    for word in words:
+        with contextlib.suppress(OSError, ValueError):
+            path = folder / word
+            if path.is_file() and path.resolve().is_relative_to(folder):
+                files[word] = path
     return Method(kind, name, place, _digest(files, place), "command", facts, folder)
 
 
 def _find_named(kind: str, given: str, *, folder: Path, known: Collection[str] = ()) -> Method:
     """Find a method by the name of an entry point, or by its place."""
-    where, colon, name = given.rpartition(":")
-    if not colon:
+    place, home = given, folder if ":" in given else None
+    if home is None:
         points = list_entry_points(kind)
         if given not in points:
             refusal = refuse_name(given, [*known, *points], kind)
             raise ValueError(f"{refusal}; one of your own: {OWN_FORMS}")
-        return Method(kind, given, points[given], _digest_module(kind, points[given]), "module")
-    if where.endswith(".py"):
-        path = (folder / where).resolve()
-        if Path(where).is_absolute() or not path.is_relative_to(folder):
-            raise ValueError(
-                f"{kind} {given!r}: must be a file in the study's folder, such as methods/my321.py:my321; copy it there"
-            )
-        if not path.is_file():
-            raise ValueError(
-                f"{kind} {given!r}: there is no file {where} in {folder}; check the name"
-            )
-        return Method(kind, name, given, _digest_file(path), "file", folder=folder)
-    if not fullmatch(r"\w+(\.\w+)*", where):
-        raise ValueError(f"{kind} {given!r}: not a method; allowed: {FORMS}")
-    return Method(kind, name, given, _digest_module(kind, given, folder), "module", folder=folder)
+        place = points[given]
+    origin, sha256 = _digest_place(kind, place, home)
+    return Method(kind, given.rpartition(":")[2], place, sha256, origin, folder=home)
 
 
 def _find_function(kind: str, given: object) -> Method:
@@ -207,6 +198,23 @@ def _find_function(kind: str, given: object) -> Method:
 
 
 # Digests: of all the code that a method may consist of.
+
+
+def _digest_place(kind: str, place: str, folder: Path | None) -> tuple[Origin, str]:
+    """Find the code of a place: where it is, and its digest."""
+    where = place.rpartition(":")[0]
+    if where.endswith(".py") and folder is not None:
+        path = (folder / where).resolve()
+        if Path(where).is_absolute() or not path.is_relative_to(folder):
+            must = "must be a file in the study's folder, such as methods/my321.py:my321"
+            raise ValueError(f"{kind} {place!r}: {must}; copy it there")
+        if not path.is_file():
+            what = f"there is no file {where} in {folder}"
+            raise ValueError(f"{kind} {place!r}: {what}; check the name")
+        return "file", _digest_file(path)
+    if not fullmatch(r"\w+(\.\w+)*", where):
+        raise ValueError(f"{kind} {place!r}: not a method; allowed: {FORMS}")
+    return "module", _digest_module(kind, place, folder)
 
 
 def _digest(files: Mapping[str, Path], start: str = "") -> str:
@@ -247,17 +255,15 @@ def _digest_module(kind: str, place: str, folder: Path | None = None) -> str:
     with contextlib.suppress(ImportError, ValueError, AttributeError), _on_path(folder):
         spec = importlib.util.find_spec(top)
     if spec is None or not name:
-        raise ValueError(
-            f"{kind} {place!r} cannot be imported: no module named {top!r}; install it, or name a file in the study, "
-            "methods/my321.py:my321"
-        )
+        why = f"cannot be imported: no module named {top!r}"
+        do = "install it, or name a file in the study, methods/my321.py:my321"
+        raise ValueError(f"{kind} {place!r} {why}; {do}")
     homes = [Path(home) for home in spec.submodule_search_locations or ()]
-    if homes:
-        paths = {path: home for home in homes for path in home.rglob("*.py")}
-        return _digest({path.relative_to(home).as_posix(): path for path, home in paths.items()})
-    if spec.origin is not None and Path(spec.origin).is_file():
-        return _digest({Path(spec.origin).name: Path(spec.origin)})
-    return _digest({}, f"{module} of Python {sys.version}")
+    paths = {path: home for home in homes for path in home.rglob("*.py")}
+    files = {path.relative_to(home).as_posix(): path for path, home in paths.items()}
+    if not homes and spec.origin is not None and Path(spec.origin).is_file():
+        files = {Path(spec.origin).name: Path(spec.origin)}
+    return _digest(files, "" if homes or files else f"{module} of Python {sys.version}")
 
 
 def split_command(kind: str, name: str, command: str) -> list[str]:
@@ -268,22 +274,9 @@ def split_command(kind: str, name: str, command: str) -> list[str]:
         raise ValueError(f"{kind} {name}: command {command!r}: {error}; quote its words") from None
     marks = ("{input}", "{reduced}") if kind == "metric" else ("{input}", "{output}")
     if missing := [mark for mark in marks if not any(mark in word for word in words)]:
-        raise ValueError(
-            f"{kind} {name}: command must hold {' and '.join(marks)}, got {command!r}; add {missing[0]}"
-        )
+        must = f"command must hold {' and '.join(marks)}, got {command!r}"
+        raise ValueError(f"{kind} {name}: {must}; add {missing[0]}")
     return words
-
-
-def _list_named(kind: str, name: str, command: str, *, folder: Path) -> dict[str, Path]:
-    """List the files of a study that a command names."""
-    words = {part for word in split_command(kind, name, command) for part in (word, *word.split())}
-    found = {}
-    for word in words:
-        with contextlib.suppress(OSError, ValueError):
-            path = folder / word
-            if path.is_file() and path.resolve().is_relative_to(folder):
-                found[word] = path
-    return found
 
 
 @contextlib.contextmanager
@@ -303,21 +296,18 @@ def _on_path(*folders: Path | None) -> Iterator[None]:
 @lru_cache(maxsize=256)
 def _load(method: Method, folder: Path | None) -> Any:  # noqa: ANN401 - whatever the lab wrote
     where, _, name = method.place.rpartition(":")
-    path = (folder or Path()) / where
     if method.origin == "file":
+        path = (folder or Path()) / where
         module = call(method, _run_file, path, folder, doing="cannot be loaded")
-        digest = _digest_file(path)
     else:
         with _on_path(folder):
             module = call(method, importlib.import_module, where, doing="cannot be loaded")
-        digest = _digest_module(method.kind, method.place, folder)
-    if digest != method.sha256:
+    if _digest_place(method.kind, method.place, folder)[1] != method.sha256:
         said = "was changed in the meantime, or is other code on this machine"
         raise ValueError(f"{method}: {where} {said}; run the command again")
     if not hasattr(module, name):
-        raise ValueError(
-            f"{method}: {where} defines no {name!r}; check the name in {method.place!r}"
-        )
+        what = f"{where} defines no {name!r}"
+        raise ValueError(f"{method}: {what}; check the name in {method.place!r}")
     made = getattr(module, name)
     return call(method, made, doing="cannot be made") if inspect.isclass(made) else made
 
@@ -366,19 +356,15 @@ def call(method: Method, function: Callable[..., Any], *args: Any, doing: str = 
 @lru_cache(maxsize=1024)
 def _say_once(text: str) -> None:
     if sys.stderr is not None:
-        sys.stderr.write(f"feel321: warning: {_shorten(text)}\n")
-
-
-def _shorten(message: object) -> str:
-    text = " ".join(str(message).split())
-    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}..."
+        sys.stderr.write(f"feel321: warning: {clip(' '.join(text.split()), LONGEST_REASON)}\n")
 
 
 def _word(error: BaseException, method: Method) -> str:
     """Word a lab's error: its class, its message, and the line of the lab's code."""
     reason = ""
     with contextlib.suppress(Exception):  # the text of an error may be an error too
-        reason = _shorten(error.msg if isinstance(error, SyntaxError) else error)
+        said = str(error.msg if isinstance(error, SyntaxError) else error)
+        reason = clip(" ".join(said.split()), LONGEST_REASON)
     if isinstance(error, SystemExit):
         reason = f"it called sys.exit({reason}), a method must return"
     roots = _find_roots(method)

@@ -79,9 +79,8 @@ def check_bytes(n_bytes: int, what: str, *, most: int | None = None) -> None:
         how = "cut it into shorter ones"
         if most == limit:
             how += f", or set {LIMIT}={math.ceil(n_bytes / 1e6)} in the environment if it is right"
-        raise TooLargeError(
-            f"{what}: {n_bytes / 1e6:,.0f} MB, at most {most / 1e6:,.0f} MB are read; {how}"
-        )
+        what = f"{what}: {n_bytes / 1e6:,.0f} MB, at most {most / 1e6:,.0f} MB are read"
+        raise TooLargeError(f"{what}; {how}")
 
 
 def check_samples(n_samples: int, n_axes: int, rate_hz: float | None = None) -> None:
@@ -98,9 +97,8 @@ def open_regular(path: Path) -> BinaryIO:
         raise IsADirectoryError(errno.EISDIR, "is a folder, not a file", str(path))
     if not stat.S_ISREG(mode):
         got = KINDS.get(stat.S_IFMT(mode), "a device")
-        raise ValueError(
-            f"{path.name}: must be a regular file, got {got}; copy its content into a file"
-        )
+        must = f"{path.name}: must be a regular file, got {got}"
+        raise ValueError(f"{must}; copy its content into a file")
     # Nor is what may have been put in its place just now.
     further = sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY"))
     return open(path, "rb", opener=lambda name, flags: os.open(name, flags | further))
@@ -168,9 +166,8 @@ def check_lines(content: bytes) -> None:
         end = max(piece.rfind(b"\n"), piece.rfind(b"\r"))
         if end < 0:
             line = content.count(b"\n", 0, start) + 1
-            raise ValueError(
-                f"line {line} is longer than {LONGEST_ROW} bytes; a table has a row per sample: is it one?"
-            )
+            what = f"line {line} is longer than {LONGEST_ROW} bytes"
+            raise ValueError(f"{what}; a table has a row per sample: is it one?")
         start += end + 1
 
 
@@ -230,9 +227,8 @@ def write_table(
 def create_text(path: Path, text: str, *, private: bool = False) -> None:
     """Write a text file where none is yet."""
     if path.exists():
-        raise FileExistsError(
-            f"{path}: already exists and is not overwritten; move it away or use it"
-        )
+        what = f"{path}: already exists and is not overwritten"
+        raise FileExistsError(f"{what}; move it away or use it")
     write_text(path, text, private=private)
 
 

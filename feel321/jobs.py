@@ -47,10 +47,10 @@ class Workers:
         if self.count < 1:
             raise ValueError(f"workers must be 1 or more, got {self.count}")
         if self.scheduler and not fullmatch(r"(tcp|tls)://.+:\d+", self.scheduler):
-            raise ValueError(
-                "scheduler must be tcp://HOST:PORT or tls://HOST:PORT, as dask scheduler prints it; got "
-                f"{self.scheduler!r}"
+            must = (
+                "scheduler must be tcp://HOST:PORT or tls://HOST:PORT, as dask scheduler prints it"
             )
+            raise ValueError(f"{must}; got {self.scheduler!r}")
 
 
 def as_workers(workers: int | Workers, scheduler: str = "") -> Workers:
@@ -114,9 +114,8 @@ def _find_versions() -> dict[str, str]:
 def _run_on_cluster(jobs: Iterable[Job], address: str) -> Iterator[Numbered]:
     """Keep two jobs in flight per thread of a cluster."""
     if find_spec("distributed") is None:
-        raise ModuleNotFoundError(
-            "a Dask cluster needs distributed, not installed here; run pip install 'feel321[cluster]'"
-        )
+        what = "a Dask cluster needs distributed, not installed here"
+        raise ModuleNotFoundError(f"{what}; run pip install 'feel321[cluster]'")
     from distributed import CancelledError, Client, as_completed
     from distributed.scheduler import KilledWorker
 

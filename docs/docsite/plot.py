@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from docutils import nodes
 from sphinx.util.docutils import SphinxDirective
 
-from feel321.analysis.page import inline_svg
+from feel321.analysis.figures import inline_svg
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx

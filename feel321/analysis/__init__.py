@@ -24,7 +24,6 @@ if _TYPE_CHECKING:
     from feel321.analysis.contrasts.compare import compare_reducers, equivalence
     from feel321.analysis.mixed.model import contrast, fit_mixed
     from feel321.analysis.plots import (
-        plot_correlations,
         plot_profile,
         plot_recording,
         plot_scatter,
@@ -45,7 +44,7 @@ __all__ = [
     "discriminate", "equivalence", "fit_attributes", "fit_mixed", "fit_primary",
     "intraclass",
     "krippendorff_alpha", "measure_tradeoff", "noise_ceiling", "p1401",
-    "plot_correlations", "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
+    "plot_profile", "plot_recording", "plot_scatter", "plot_slopes",
     "plot_spectrum", "rater_model",
     "read_table", "repeated_measures_correlation", "screen_raters",
     "write_report",

@@ -6,8 +6,8 @@ half the time. Conclusions therefore come from the two-way interval, for which p
 both drawn anew; the narrower one is reported beside it, by name, for comparison with the literature.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import combinations
 from types import MappingProxyType
 from typing import NamedTuple
@@ -157,55 +157,91 @@ class Correlated(NamedTuple):
 
     def associate(self, metric: str) -> Statistic:
         """Correlate with one metric."""
-        items, drawn = self._pick(metric)
-        how, notes = resampling.METHODS[self.method], list(_explain(items, drawn, [metric]))
-        value = float(drawn.point[0])
-        lean = resampling.measure_lean(items, self.method, drawn)[0]
-        middle = float(resampling.fisher_z(drawn.point)[0] - lean)
-        units = resampling.count_scarcest(items, drawn), items.n_participants
+        items, drawn, place = self.items, self.drawn, self.metrics.index(metric)
+        how, notes = resampling.METHODS[self.method], list(self._explain(metric))
+        value, two_way, people = (part[place] for part in drawn[:3])
+        lean = resampling.measure_lean(items, self.method, drawn)[place]
+        middle = float(resampling.fisher_z(value) - lean)
+        units = resampling.count_scarcest(items, drawn.of_recordings[[place]])
         (low, high), (narrow_low, narrow_high) = (
-            np.tanh(middle + resampling.bootstrap_margin(part[0], n) * np.array([-1, 1])).tolist()
-            for part, n in zip((drawn.two_way, drawn.participants), units, strict=True)
+            np.tanh(middle + resampling.bootstrap_margin(part, n) * np.array([-1, 1])).tolist()
+            for part, n in ((two_way, units), (people, items.n_participants))
         )
         ceiling, more_notes = find_ceiling(items, within=how.within)
         if not np.isnan(value):
-            notes += _explain_undrawn(drawn.two_way[0], "two-way")
-            notes += _explain_undrawn(drawn.participants[0], "participants-only")
+            notes += _explain_undrawn(two_way, "two-way")
+            notes += _explain_undrawn(people, "participants-only")
         divisible = not how.ranked and not items.n_missing
         return Statistic(
-            "Association", value=value, low=low, high=high, n_items=items.n_items, ceiling=ceiling,
-            disattenuated=value / ceiling if divisible else float("nan"),
-            draws=int(np.isfinite(drawn.two_way[0]).sum()),
-            participants_low=narrow_low, participants_high=narrow_high,
+            "Association", value=float(value), low=low, high=high, n_items=items.n_items, ceiling=ceiling,
+            disattenuated=float(value) / ceiling if divisible else float("nan"),
+            draws=int(np.isfinite(two_way).sum()), participants_low=narrow_low, participants_high=narrow_high,
             **{name: getattr(items, name) for name in SIZES},
             metric=metric, method=self.method, notes=(*notes, *more_notes),
         )  # fmt: skip
 
     def compare(self, first: str, second: str) -> Statistic:
         """Compare the correlations with two metrics."""
-        items, drawn = self._pick(first, second)
-        notes = list(_explain(items, drawn, [first, second]))
-        z_first, z_second = resampling.fisher_z(drawn.point)
-        differences = np.subtract(*drawn.two_way)
-        if np.isfinite(drawn.point).all():
+        items, notes = self.items, list(self._explain(first, second))
+        places = [self.metrics.index(name) for name in (first, second)]
+        point, two_way, within = (self.drawn[part][places] for part in (0, 1, 3))
+        (z_first, z_second), differences = resampling.fisher_z(point), np.subtract(*two_way)
+        if np.isfinite(point).all():
             notes += _explain_undrawn(differences, "two-way")
-        margin = resampling.bootstrap_margin(differences, resampling.count_scarcest(items, drawn))
-        lean = np.subtract(*resampling.measure_lean(items, self.method, drawn))
+        units = resampling.count_scarcest(items, within)
+        margin = resampling.bootstrap_margin(differences, units)
+        lean = np.subtract(*resampling.measure_lean(items, self.method, self.drawn)[places])
         z_range = z_first - z_second - lean + np.array([-margin, margin])
         middle = (z_first + z_second) / 2
         low, high = np.tanh(middle + z_range / 2) - np.tanh(middle - z_range / 2)
         return Statistic(
-            "Difference", value=float(drawn.point[0] - drawn.point[1]), low=float(low), high=float(high),
+            "Difference", value=float(point[0] - point[1]), low=float(low), high=float(high),
             z_value=float(z_first - z_second), z_low=float(z_range[0]), z_high=float(z_range[1]),
-            first_value=float(drawn.point[0]), second_value=float(drawn.point[1]), n_items=items.n_items,
+            first_value=float(point[0]), second_value=float(point[1]), n_items=items.n_items,
             **{name: getattr(items, name) for name in SIZES}, draws=int(np.isfinite(differences).sum()),
             first=first, second=second, method=self.method, notes=tuple(notes),
         )  # fmt: skip
 
-    def _pick(self, *metrics: str) -> tuple[Items, resampling.Draws]:
-        places = [self.metrics.index(name) for name in metrics]
-        items = replace(self.items, metrics=self.items.metrics[places])
-        return items, resampling.Draws(*(part[places] for part in self.drawn))
+    def _explain(self, *metrics: str) -> Iterator[str]:
+        """Say what was left out, which interval the size does not allow, and why a correlation is not defined."""
+        items = self.items
+        yield from items.notes
+        if items.n_missing:
+            yield f"{items.n_missing} of {items.ratings.size} participant x stimulus cells hold no rating."
+        if items.n_participants < SMALLEST:
+            yield "One participant only: no interval, the spread between people is unknown."
+        if items.n_recordings < SMALLEST:
+            yield "One recording only: no two-way interval, the spread between recordings is unknown."
+        elif items.n_sources < SMALLEST:
+            yield "All recordings come from one source: no two-way interval, the spread between sources is unknown."
+        elif items.n_sources < items.n_recordings:
+            yield f"Two-way intervals draw the {items.n_sources} sources of the {items.n_recordings} recordings."
+        for metric in metrics:
+            yield from self._explain_metric(metric)
+
+    def _explain_metric(self, metric: str) -> Iterator[str]:
+        """Say why the correlation with a metric is not defined, or which recordings it does not rest on, or how."""
+        items, row = self.items, self.metrics.index(metric)
+        point, within = self.drawn.point[row], self.drawn.of_recordings[row]
+        n, defined = len(within), int(np.isfinite(within).sum())
+        perfect = int((np.abs(within) >= PERFECT).sum())
+        where = f"where it takes three rated stimuli that differ in mean rating and in '{metric}'"
+        why = "the mean rating is the same for every stimulus"
+        if items.n_items < resampling.FEWEST_ITEMS:
+            why = f"it needs {resampling.FEWEST_ITEMS} test stimuli, got {items.n_items}"
+        elif np.ptp(items.metrics[row]) == 0:
+            why = f"'{metric}' is the same for every stimulus"
+        said = {
+            f"No correlation: {why}.": not n and np.isnan(point),
+            f"No correlation within any of {n} recordings, {where}.": n > 0 and not defined,
+            f"{n - defined} of {n} recordings are left out {where}.": 0 < defined < n,
+            "One recording only has a correlation within: no two-way interval.": 0 < defined < SMALLEST <= n,
+            f"In {perfect} of {n} recordings the correlation with '{metric}' is perfect: Fisher's z is held.":
+                0 < perfect < n,
+            f"No interval: the correlation with '{metric}' is perfect, and Fisher's z of that infinite.":
+                abs(point) >= PERFECT,
+        }  # fmt: skip
+        yield from (note for note, holds in said.items() if holds)
 
 
 def correlate_items(
@@ -216,48 +252,6 @@ def correlate_items(
     check_draws(draws)
     found = resampling.draw_methods(items, names, draws=draws, rng=as_rng(rng))
     return [Correlated(items, metrics, method, drawn) for method, drawn in found.items()]
-
-
-def _explain(items: Items, drawn: resampling.Draws, metrics: Sequence[str]) -> Iterator[str]:
-    """Say what was left out, which interval the size does not allow, and why a correlation is not defined."""
-    yield from items.notes
-    if items.n_missing:
-        yield f"{items.n_missing} of {items.ratings.size} participant x stimulus cells hold no rating."
-    if items.n_participants < SMALLEST:
-        yield "One participant only: no interval, the spread between people is unknown."
-    if items.n_recordings < SMALLEST:
-        yield "One recording only: no two-way interval, the spread between recordings is unknown."
-    elif items.n_sources < SMALLEST:
-        yield "All recordings come from one source: no two-way interval, the spread between sources is unknown."
-    elif items.n_sources < items.n_recordings:
-        yield f"Two-way intervals draw the {items.n_sources} sources of the {items.n_recordings} recordings."
-    for row, metric in enumerate(metrics):
-        yield from _explain_metric(items, drawn, row=row, metric=metric)
-
-
-def _explain_metric(
-    items: Items, drawn: resampling.Draws, *, row: int, metric: str
-) -> Iterator[str]:
-    """Say why the correlation with a metric is not defined, or which recordings it does not rest on, or not as is."""
-    within, is_perfect = drawn.of_recordings[row], abs(drawn.point[row]) >= PERFECT
-    n, defined = len(within), int(np.isfinite(within).sum())
-    perfect = int((np.abs(within) >= PERFECT).sum())
-    where = f"where it takes three rated stimuli that differ in mean rating and in '{metric}'"
-    why = "the mean rating is the same for every stimulus"
-    if items.n_items < resampling.FEWEST_ITEMS:
-        why = f"it needs {resampling.FEWEST_ITEMS} test stimuli, got {items.n_items}"
-    elif np.ptp(items.metrics[row]) == 0:
-        why = f"'{metric}' is the same for every stimulus"
-    said = {
-        f"No correlation: {why}.": not n and np.isnan(drawn.point[row]),
-        f"No correlation within any of {n} recordings, {where}.": n > 0 and not defined,
-        f"{n - defined} of {n} recordings are left out {where}.": 0 < defined < n,
-        "One recording only has a correlation within: no two-way interval.": 0 < defined < SMALLEST <= n,
-        f"In {perfect} of {n} recordings the correlation with '{metric}' is perfect: Fisher's z is held.":
-            0 < perfect < n,
-        f"No interval: the correlation with '{metric}' is perfect, and Fisher's z of that infinite.": is_perfect,
-    }  # fmt: skip
-    yield from (note for note, holds in said.items() if holds)
 
 
 def _explain_undrawn(drawn: Values, kind: str) -> Iterator[str]:
@@ -273,22 +267,14 @@ def _explain_undrawn(drawn: Values, kind: str) -> Iterator[str]:
         yield f"All {drawn.size} {kind} draws gave the same: no interval without spread."
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Panel:
-    """Associations of the test stimuli of one scale and one level."""
-
-    scale: str
-    level: str
-    associations: tuple[Statistic, ...]
-    differences: tuple[Statistic, ...]
-    stimuli: DataFrame
-
-
 def make_panel(
     part: DataFrame, metrics: tuple[str, ...],
     *, draws: int, rng: np.random.Generator, info: Mapping[str, MetricInfo] = MappingProxyType({}),
-) -> Panel:  # fmt: skip
-    """Correlate the ratings of one scale and one level with every metric, by every method."""
+) -> Statistic:  # fmt: skip
+    """Correlate the ratings of one scale and one level with every metric, by every method.
+
+    Gives ``scale level``; ``associations`` and ``differences``, a Statistic each; and ``stimuli``, their mean ratings.
+    """
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
     seed, items = int(rng.integers(2**63)), make_items(part, metrics)
@@ -300,10 +286,9 @@ def make_panel(
         compared = correlate_items(turned, metrics, *resampling.METHODS, draws=draws, rng=seed)
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     pairs = list(combinations(metrics, 2))
-    return Panel(
-        scale=str(part["scale"].iloc[0]),
-        level=str(part["level"].iloc[0]),
+    return Statistic(
+        "Panel", scale=str(part["scale"].iloc[0]), level=str(part["level"].iloc[0]),
         associations=tuple(one.associate(metric) for metric in metrics for one in of),
         differences=tuple(one.compare(*pair) for pair in pairs for one in compared),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
-    )
+    )  # fmt: skip

@@ -24,7 +24,6 @@ from pandas import DataFrame, MultiIndex, factorize
 from scipy.optimize import brentq
 from scipy.special import expit, logit
 from scipy.stats import binomtest, norm, t
-from scipy.stats import t as student
 
 from feel321.analysis.arrays import CONFIDENCE, UPPER, Values, check_columns
 from feel321.analysis.primary.model import adjust_holm
@@ -352,8 +351,8 @@ def tell_apart(apart: DataFrame, same: DataFrame) -> Statistic:
         gaps.append(far.mean() - near.mean())
         # The area under the ROC curve: the chance that one of far is above one of near.
         areas.append(0.5 + np.sign(far[:, None] - near[None, :]).mean() / 2)
-    mean, error, reach, p = _test(gaps)
-    area, spread, _, _ = _test(areas)
+    mean, error, reach, p = infer_mean(gaps)
+    area, spread, _, _ = infer_mean(areas)
     low, high = max(0.0, area - reach * spread), min(1.0, area + reach * spread)
     d_prime, d_low, d_high = (float(math.sqrt(2) * norm.ppf(end)) for end in (area, low, high))
     statistic = mean / error if error else math.copysign(math.inf, mean) if mean else math.nan
@@ -364,9 +363,11 @@ def tell_apart(apart: DataFrame, same: DataFrame) -> Statistic:
     )  # fmt: skip
 
 
-def _test(values: Sequence[float]) -> tuple[float, float, float, float]:
-    """Average over participants: mean, standard error, their number in a 95 % interval, p of a mean of 0."""
+def infer_mean(values: Sequence[float]) -> tuple[float, float, float, float]:
+    """Average over units: mean, standard error, their number in a 95 % interval, p of a mean of 0."""
     n, mean = len(values), float(np.mean(values))
+    if n < LEAST:
+        return mean, math.nan, math.nan, math.nan
     error = float(np.std(values, ddof=1)) / math.sqrt(n)
-    p = float(2 * student.sf(abs(mean) / error, n - 1)) if error else float(mean == 0)
-    return mean, error, float(student.ppf(0.975, n - 1)), p
+    p = float(2 * t.sf(abs(mean) / error, n - 1)) if error else float(mean == 0)
+    return mean, error, float(t.ppf(UPPER, n - 1)), p

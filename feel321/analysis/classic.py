@@ -6,9 +6,7 @@ recording are not, so these intervals and tests are for comparison with the lite
 from `correlate`, `compare_metrics` and the mixed model.
 """
 
-from collections.abc import Callable, Iterator
-from functools import partial
-from typing import get_args
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -26,9 +24,7 @@ from feel321.analysis.arrays import (
     read_groups,
 )
 from feel321.analysis.table.items import Table, is_tidy, make_items, open_tests
-from feel321.arguments import check_name
 from feel321.records import Statistic
-from feel321.types import Direction
 
 UNIT = (0.0, 1.0)
 PARAMETERS = {0: 1, 1: 2, 3: 4}  # Order -> degrees of freedom that it takes off the items
@@ -38,13 +34,9 @@ FEW_ITEMS = 30  # With fewer items a cubic bends to noise: the first order leads
 FEWEST = 4  # Cases that Fisher's z and Williams' t need at least: both divide by n - 3
 NAN = float("nan")
 
-Fit = Callable[[Values, Values], Polynomial]  # Fits the mapping from metric to MOS
 
-
-def fit_monotone_cubic(
-    x: Values, y: Values, *, span: tuple[float, float], sign: int = 0
-) -> Polynomial:
-    """Least-squares cubic that rises, or falls, over all of an interval; by sign 1, -1, or 0 for whichever fits better.
+def fit_monotone_cubic(x: Values, y: Values, *, span: tuple[float, float]) -> Polynomial:
+    """Least-squares cubic that rises, or falls, over all of an interval, whichever fits better.
 
     With u = (x - low) / (high - low), the cubics that rise on the interval are those whose slope is q(u) =
     (α + β u)² + γ² u (1 - u), Lukács' form of a quadratic that is nowhere negative on [0, 1] (Szegő 1975, theorem
@@ -57,12 +49,10 @@ def fit_monotone_cubic(
     slope = cubic.deriv()
     turns = slope.deriv().trim().roots().real
     extremes = slope(np.array([*UNIT, *turns[(turns > 0) & (turns < 1)]]))
-    rises, falls = bool((extremes >= 0).all()), bool((extremes <= 0).all())
-    if not ((rises and sign >= 0) or (falls and sign <= 0)):
+    if extremes.min() < 0 < extremes.max():
         # The best rising or falling cubic among those whose slope is 0 somewhere.
-        rising = _list_candidates(u, y) if sign >= 0 else ()
-        falling = (-cubic for cubic in _list_candidates(u, -y)) if sign <= 0 else ()
-        cubic = min((*rising, *falling), key=lambda cubic: float(((y - cubic(u)) ** 2).sum()))
+        candidates = [*_list_candidates(u, y), *(-one for one in _list_candidates(u, -y))]
+        cubic = min(candidates, key=lambda one: float(((y - one(u)) ** 2).sum()))
     return Polynomial(cubic.coef, domain=span, window=UNIT)
 
 
@@ -99,7 +89,6 @@ def p1401(
     *,
     order: int = 3,
     groups: ArrayLike | None = None,
-    higher: Direction | None = None,
 ) -> Statistic:
     """Judge a metric against votes as ITU-T P.1401 does.
 
@@ -116,8 +105,6 @@ def p1401(
     groups : array_like, shape (items,), optional
         What each item belongs to, usually its recording (``"recording"`` for ratings). Given, every item is predicted
         by a mapping fitted without its group; without it, the errors flatter the metric.
-    higher : {"better", "worse"}, optional
-        Which way the metric points: the mapping may only rise, or only fall. Whichever fits better if left out.
 
     Returns
     -------
@@ -132,8 +119,7 @@ def p1401(
     Notes
     -----
     Per item with n votes and standard deviation s (n - 1): MOS, and ci = q s / √n with q = t(.975, n - 1)
-    below 30 votes and 1.96 from there on. The mapping is least squares and monotone over the metric's whole
-    range. A metric that goes against its declared direction is mapped to a constant, and has no PLCC. With
+    below 30 votes and 1.96 from there on. The mapping is least squares and monotone over the metric's range. With
     e = MOS - MOSp and d = 4 (cubic), 2 (line) or 1 (none, and out of fold: nothing was fitted to the item)::
 
         rmse  = √(Σ e² / (N - d))
@@ -162,24 +148,21 @@ def p1401(
         votes, metric = items.ratings.T, items.metrics[0]
         groups = items.recordings if isinstance(groups, str) else groups
     check_labels(votes, metric, what="metric")
-    if higher is not None:
-        check_name(higher, get_args(Direction), "higher")
     table, x = _read_votes(votes, metric, order)
     counts, mos = np.isfinite(table).sum(axis=1), np.nanmean(table, axis=1)
     quantile = np.where(counts < MANY_VOTES, t.ppf(0.975, counts - 1), NORMAL_QUANTILE)
     interval = quantile * np.nanstd(table, axis=1, ddof=1) / np.sqrt(counts)
-    fit = partial(_fit_mapping, order=order, sign={None: 0, "better": 1, "worse": -1}[higher])
-    mapping, notes = fit(x, mos), list[str]()
+    mapping, notes = _fit_mapping(x, mos, order=order), list[str]()
     mapped = np.asarray(mapping(x), np.float64)
     if groups is not None:
-        mapped, notes = _map_out_of_fold(x, mos, groups, fit=fit, clipped=order > 1)
+        mapped, notes = _map_out_of_fold(x, mos, groups, order=order)
     n, errors = len(x), np.abs(mos - mapped)
     errors[errors**2 <= FLAT * float((mos**2).sum())] = 0.0
     squares = float((errors**2).sum())
     beyond = float((np.maximum(0.0, errors - interval) ** 2).sum())
     freedom = n - PARAMETERS[order if groups is None else 0]
     plcc, rmse = _correlate(mos, mapped), float(np.sqrt(squares / freedom))
-    low, high = _find_fisher_interval(plcc, n - 3, NORMAL_QUANTILE)
+    low, high = _find_interval(plcc, n - 3, NORMAL_QUANTILE)
     rmse_low, rmse_high = (rmse * np.sqrt(freedom / chi2.ppf([0.975, 0.025], freedom))).tolist()
     ratio = float((errors > interval).mean())
     if np.isnan(plcc):
@@ -222,8 +205,8 @@ def _read_votes(votes: object, metric: object, order: int) -> tuple[Values, Valu
     return table, x
 
 
-def _fit_mapping(x: Values, mos: Values, *, order: int, sign: int) -> Polynomial:
-    """Fit the mapping of an order to some items; by sign 1, -1, or 0 it may only rise, only fall, or do either."""
+def _fit_mapping(x: Values, mos: Values, *, order: int) -> Polynomial:
+    """Fit the mapping of an order to some items."""
     if order == 0:
         return Polynomial([0.0, 1.0])
     needed, different = order + 1, len(np.unique(x))
@@ -234,24 +217,22 @@ def _fit_mapping(x: Values, mos: Values, *, order: int, sign: int) -> Polynomial
         )
     span = float(x.min()), float(x.max())
     if order > 1:
-        return fit_monotone_cubic(x, mos, span=span, sign=sign)
-    line = Polynomial.fit(x, mos, 1, domain=span, window=UNIT)
-    against = line.coef[1] * sign < 0
-    return Polynomial([mos.mean(), 0.0], domain=span, window=UNIT) if against else line
+        return fit_monotone_cubic(x, mos, span=span)
+    return Polynomial.fit(x, mos, 1, domain=span, window=UNIT)
 
 
 def _map_out_of_fold(
-    x: Values, mos: Values, groups: ArrayLike, *, fit: Fit, clipped: bool
+    x: Values, mos: Values, groups: ArrayLike, *, order: int
 ) -> tuple[Values, list[str]]:
-    """Map every item by the others' groups, if clipped no farther than their ends."""
+    """Map every item by the others' groups, by a cubic no farther than their ends."""
     numbers, names = read_groups(groups, n=len(x), what="item")
     if len(names) < 2:  # noqa: PLR2004 - one to fit to, one to predict
         raise ValueError(f"groups must be two or more, got the one group {names[0]}; leave it out")
     mapped, n_beyond = np.empty_like(x), 0
     for place in range(len(names)):
         held = numbers == place
-        known = np.clip(x[held], x[~held].min(), x[~held].max()) if clipped else x[held]
-        mapped[held] = fit(x[~held], mos[~held])(known)
+        known = np.clip(x[held], x[~held].min(), x[~held].max()) if order > 1 else x[held]
+        mapped[held] = _fit_mapping(x[~held], mos[~held], order=order)(known)
         n_beyond += int((known != x[held]).sum())
     where = "beyond the metric's range in the other groups; the cubic is held at its end there"
     return mapped, [f"{n_beyond} items lie {where}."] if n_beyond else []
@@ -263,7 +244,7 @@ def _correlate(mos: Values, other: Values) -> float:
     return NAN if any(flat) else float(np.clip(np.corrcoef(mos, other)[0, 1], -1, 1))
 
 
-def _find_fisher_interval(r: float, n: int, quantile: float) -> tuple[float, float]:
+def _find_interval(r: float, n: int, quantile: float) -> tuple[float, float]:
     """Find the interval of a correlation whose Fisher's z has the variance 1 / n; NaN where it is perfect or n is 0."""
     if n < 1 or not abs(r) < PERFECT:
         return NAN, NAN
@@ -344,9 +325,7 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
         q = (r1**2 + r2**2) / 2
         h = (1 - min(1.0, (1 - r12) / (2 * (1 - q))) * q) / (1 - q)
         meng = apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
-        (low1, high1), (low2, high2) = (
-            _find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)
-        )
+        (low1, high1), (low2, high2) = (_find_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2))
         c = (r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3
         c /= (1 - r1**2) * (1 - r2**2)
         # max: rounding may push a vanishing sum of squares below 0
@@ -430,7 +409,7 @@ def repeated_measures_correlation(
     one, other = rest
     if not notes:
         r = float(np.clip(one @ other / np.sqrt((one @ one) * (other @ other)), -1, 1))
-    low, high = _find_fisher_interval(r, df - 1, norm.ppf(UPPER))
+    low, high = _find_interval(r, df - 1, norm.ppf(UPPER))
     if np.isnan(low):
         why = "the correlation is perfect, or fewer than 2 degrees of freedom are left"
         notes.append(f"No interval: {why}.")

@@ -3,9 +3,7 @@
 Tables are CSV that these programs read without options: UTF-8, comma, TRUE and FALSE, NA where a value is missing.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from feel321.analysis.primary.model import Primary, fit_primary
 from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, WHO
@@ -16,11 +14,7 @@ from feel321.analysis.table.columns import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table
 from feel321.arguments import as_path, as_seed, describe
 from feel321.files import make_folder, write_text
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from feel321.types import PathLike, Rng
+from feel321.types import PathLike, Rng
 
 JUDGEMENTS, SCRIPT = "judgements.csv", "model.R"
 MISSING = "NA"

@@ -10,12 +10,14 @@ that are given; `draw_` functions make a figure of a report.
 
 from __future__ import annotations
 
+import re
 import textwrap
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import cycle
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
@@ -32,8 +34,7 @@ from feel321.analysis.words import (
 )
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
+    from markupsafe import Markup
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -41,8 +42,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from pandas import DataFrame
 
-    from feel321.analysis.association import Panel
-    from feel321.analysis.primary.model import Primary
     from feel321.records import Statistic
 
 WIDTH_CM, CM_PER_INCH = 14.0, 2.54
@@ -382,7 +381,7 @@ def plot_stimuli(
 
 
 def draw_scatters(
-    panels: Sequence[Panel], metrics: Sequence[str], *, method: str, looks: Mapping[str, Look]
+    panels: Sequence[Statistic], metrics: Sequence[str], *, method: str, looks: Mapping[str, Look]
 ) -> Figure:
     """Draw mean ratings against metrics: a row per scale and level, a column per metric."""
     several = len({panel.level for panel in panels}) > 1
@@ -411,7 +410,7 @@ MOST = 2000
 """Points that an eye can use; of more rows this many are drawn, evenly through their order."""
 
 
-def draw_residuals(models: Mapping[str, Primary]) -> Figure:
+def draw_residuals(models: Mapping[str, Statistic]) -> Figure:
     """Draw a normal quantile plot of each model's residuals, and the residuals against the fitted values."""
     from scipy.special import ndtri
 
@@ -523,3 +522,25 @@ def draw_space(space: Statistic, names: Sequence[str]) -> Figure:
         add_title(figure, f"Stress-1 = {space.stress:.2f}; ellipses: {drawn}.")
         add_legend(figure, make_handles({name: looks[name] for name in names}))
     return figure
+
+
+UNWANTED = re.compile(
+    r"^.*?(?=<svg)|<metadata>.*?</metadata>|<defs>\s*<style[^>]*>.*?</style>\s*</defs>", re.DOTALL
+)
+"""Of a drawing's file: its head, who made it, and a style sheet that would style the whole page."""
+
+
+def inline_svg(name: str, caption: str, path: Path) -> Markup:
+    """Make a figure's SVG file part of a page, in the page's colours; its ids begin with the figure's name."""
+    from markupsafe import Markup, escape
+
+    body = UNWANTED.sub("", path.read_text(encoding="utf-8"))
+    body = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{name}-", body)
+    body = re.sub(r"(\d+\.\d\d)\d+", r"\1", body)
+    body = body.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif")
+    for size in ("width", "height"):
+        body = re.sub(rf'(<svg[^>]*?) {size}="[^"]*"', r"\1", body, count=1)
+    for colour, variable in PAGE_COLOURS.items():
+        body = re.sub(rf"(?<=[:\" ]){colour}\b", f"var(--{variable})", body, flags=re.IGNORECASE)
+    label = f'<svg role="img" aria-label="{escape(caption)}" fill="currentColor" stroke-linejoin="round"'
+    return Markup(body.replace("<svg", label, 1))  # noqa: S704 - our own drawing, its caption escaped

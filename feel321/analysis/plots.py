@@ -1,26 +1,22 @@
 """Plots of signals and ratings on matplotlib axes, in the caller's own figure and style."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from pandas import DataFrame, concat
 
 from feel321.analysis import figures
 from feel321.analysis.contrasts.compare import participant_means, profile_reducers, stimulus_means
 from feel321.analysis.figures import assign_looks, make_handles
+from feel321.analysis.primary.model import Primary
 from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.items import Table, open_tests
 from feel321.analysis.words import capitalise, format_measure, format_name
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from pandas import DataFrame
-
-    from feel321.analysis.primary.model import Primary
-    from feel321.records import Statistic
-    from feel321.stimuli.recording import Recording, Reduced
+from feel321.stimuli.recording import Recording, Reduced, as_signal
+from feel321.stimuli.spectra import psd
 
 
 def plot_scatter(ratings: Table | DataFrame, metric: str, *, ax: Axes | None = None) -> Axes:
@@ -81,47 +77,18 @@ def plot_slopes(models: Primary | Mapping[Any, Primary], *, ax: Axes | None = No
     ax : Axes, optional
         Where to plot; a new figure if left out.
     """
-    import pandas as pd
-
-    from feel321.analysis.primary.model import Primary
-
     ax, items = _find_axes(ax), {"": models} if isinstance(models, Primary) else models
     tables = []
     for key, model in items.items():
         name = ", ".join(map(format_name, key)) if isinstance(key, tuple) else format_name(str(key))
         tables.append(model.slopes.reset_index().assign(model=name, filled=not model.fit.singular))
-    frame = pd.concat(tables)
+    frame = concat(tables)
     frame["name"] = frame["metric"].map(format_name)
     figures.plot_forest(
         ax, frame, columns="tenth tenth_low tenth_high", series="metric",
         looks=figures.look_up(frame["metric"]), heading="model" if any(frame["model"]) else "",
     )  # fmt: skip
     ax.set_xlabel("Change in rating per +0.1 of the metric")
-    return ax
-
-
-def plot_correlations(found: Statistic | DataFrame, *, ax: Axes | None = None) -> Axes:
-    """Plot correlations with their 95 % two-way intervals, and the noise ceiling of each as a vertical line.
-
-    Parameters
-    ----------
-    found : Statistic or DataFrame
-        What `correlate` returned, or a table of such: a row each.
-    ax : Axes, optional
-        Where to plot; a new figure if left out.
-    """
-    import pandas as pd
-
-    frame = (found if isinstance(found, pd.DataFrame) else found.to_frame()).reset_index()
-    ax = _find_axes(ax)
-    keys = [key for key in ("scale", "level", "metric", "method") if key in frame]
-    keys = [key for key in keys if key == "metric" or len(frame[key].unique()) > 1]
-    words = frame[keys].astype(str).map(format_name)
-    ceilings = frame["ceiling"].to_numpy(float)
-    include = (0.0, *ceilings[np.isfinite(ceilings)])
-    figures.plot_forest(ax, frame.assign(name=words.agg(", ".join, axis=1)), include=include)
-    ax.vlines(ceilings, np.arange(len(frame)) - 0.3, np.arange(len(frame)) + 0.3, color="0.4")
-    ax.set_xlabel("Correlation with mean ratings")
     return ax
 
 
@@ -141,8 +108,6 @@ def plot_recording(signal: Recording | Reduced, *, ax: Axes | None = None) -> Ax
     >>> analysis.plot_recording(stimuli.make_scene("hard_taps")).get_ylabel()
     'Acceleration (m/s²)'
     """
-    from feel321.stimuli.recording import as_signal
-
     given, rate_hz = as_signal(signal)
     samples, ax = np.atleast_2d(np.asarray(given, np.float64)), _find_axes(ax)
     times = np.arange(samples.shape[-1]) / rate_hz
@@ -167,8 +132,6 @@ def plot_spectrum(
     ax : Axes, optional
         Where to plot; a new figure if left out.
     """
-    from feel321.stimuli.spectra import psd
-
     ax = _find_axes(ax)
     for signal in signals:
         found = psd(signal, window_s=window_s)
@@ -179,8 +142,6 @@ def plot_spectrum(
 
 
 def _find_axes(ax: Axes | None) -> Axes:
-    import matplotlib.pyplot as plt
-
     return plt.subplots()[1] if ax is None else ax
 
 

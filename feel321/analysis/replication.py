@@ -1,6 +1,6 @@
 """Papers replicated: their claims, what this study's ratings say to each of them, and the measures that tell.
 
-A measure is a function `measure_NAME(table, claim, choices) -> ClaimValue`, and one line in `feel321.names.MEASURES`.
+A measure is a function `measure_NAME(table, claim, choices) -> ClaimValue`, and one line in `feel321.records.MEASURES`.
 It takes a table of one scale and one level, raises ValueError where the claim cannot be estimated, and knows nothing of
 the paper's number: `judge` compares. Where a claim names exceptions, it is called a second time without them.
 
@@ -21,7 +21,7 @@ from scipy.stats import t as student
 
 from feel321.analysis import space, words
 from feel321.analysis.association import correlate
-from feel321.analysis.choices import EVERY, compare_with_original
+from feel321.analysis.choices import EVERY, compare_with_original, infer_mean
 from feel321.analysis.contrasts.compare import fit_reducers
 from feel321.analysis.mixed.model import contrast
 from feel321.analysis.primary.model import fit_primary, fit_slopes
@@ -31,9 +31,8 @@ from feel321.analysis.resampling import Choices
 from feel321.analysis.table.columns import ROTATIONS
 from feel321.analysis.table.items import Table, recast_pairs, split_tests
 from feel321.analysis.table.schema import PAIRED
-from feel321.analysis.words import INTERVALS
 from feel321.arguments import check_name
-from feel321.records import MEASURES, PaperClaim
+from feel321.types import MEASURES, PaperClaim
 
 # Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number.
 AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimable"
@@ -249,12 +248,8 @@ def measure_metric(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
 
 def _average(values: "Series[float]") -> Ends:
     """Average with a t interval."""
-    known = values.dropna()
-    mean, n = float(known.mean()), len(known)
-    if n < 2:  # noqa: PLR2004 - a spread needs two
-        return mean, math.nan, math.nan
-    half = float(student.ppf(0.975, n - 1) * known.std(ddof=1) / math.sqrt(n))
-    return mean, mean - half, mean + half
+    mean, error, reach, _ = infer_mean(values.dropna().tolist())
+    return mean, mean - reach * error, mean + reach * error
 
 
 def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimValue:  # noqa: ARG001 - every measure has this form
@@ -271,7 +266,7 @@ def measure_rating(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVa
     beside = {name: (gap.estimate, gap.low, gap.high) for name, gap in gaps.items()}
     return ClaimValue(
         mean.estimate, mean.low, mean.high, "rating", "points", n, "mixed model with reducers, mean rating",
-        INTERVALS["satterthwaite"], beside, note,
+        words.INTERVALS["satterthwaite"], beside, note,
     )  # fmt: skip
 
 
@@ -284,7 +279,7 @@ def measure_slope(table: Table, claim: PaperClaim, choices: Choices) -> ClaimVal
     slope = fit.slopes.loc[[metric]].to_dict("records")[0]
     return ClaimValue(
         slope["tenth"], slope["tenth_low"], slope["tenth_high"], "slope", "points per +0.1", fit.n_items,
-        f"mixed model, {metric} within recordings", INTERVALS["satterthwaite"],
+        f"mixed model, {metric} within recordings", words.INTERVALS["satterthwaite"],
     )  # fmt: skip
 
 
@@ -338,8 +333,6 @@ def measure_attribute(table: Table, claim: PaperClaim, choices: Choices) -> Clai
 
 def explain_spread(rows: DataFrame, metric: str) -> str:
     """Say why a spread may go with ratings the wrong way, where it rises with its mean; else nothing."""
-    from feel321.analysis.page import render_words
-
     mean = metric.removesuffix(SD) + MEAN
     if not (metric in ROTATIONS and metric.endswith(SD) and {metric, mean} <= set(rows)):
         return ""
@@ -355,7 +348,7 @@ def explain_spread(rows: DataFrame, metric: str) -> str:
         return ""
     means = own.groupby(items["reducer"].astype(str)).mean()
     lowest = str(means[mean].idxmin())
-    (text,) = render_words(
+    (text,) = words.render_words(
         "spread", metric=metric, together=together, lowest=lowest, mean=means.loc[lowest, mean],
         spread=means.loc[lowest, metric], smallest=means[metric].min(),
     )  # fmt: skip

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from feel321.analysis.arrays import FLAT, PERFECT, UPPER, Values, check_draws
 from feel321.analysis.table.items import Items
-from feel321.analysis.words import name_path
 
 BLOCK = 4_000_000  # Numbers that an array of draws may hold: 32 MB
 STILL = 1e-12  # Spread of draws up to which they are all the same but for rounding error
@@ -46,7 +45,9 @@ class Choices:
 
     def make_rng(self, *names: str) -> np.random.Generator:
         """Make the generator of one result, its own: another metric or section does not change its interval."""
-        return np.random.default_rng([self.seed, zlib.crc32(name_path(*names).encode())])
+        # Points within names are escaped: no two lists of names give the same path.
+        path = ".".join(one.replace("%", "%25").replace(".", "%2E") for one in names)
+        return np.random.default_rng([self.seed, zlib.crc32(path.encode())])
 
 
 def weighted_kendall(x: Values, y: Values, *, weights: Values) -> Values:
@@ -297,9 +298,10 @@ def measure_lean(items: Items, method: str, drawn: Draws) -> Values:
     return mean
 
 
-def count_scarcest(items: Items, drawn: Draws) -> int:
-    """Count the units that limit a two-way interval: whichever there are fewer of is known less well."""
-    if not drawn.of_recordings.size:
-        return min(items.n_participants, items.n_sources)
-    speaking = min(len(np.unique(items.of_source[np.isfinite(row)])) for row in drawn.of_recordings)
-    return min(items.n_participants, speaking)
+def count_scarcest(items: Items, within: Values) -> int:
+    """Count the units that limit a two-way interval: whichever there are fewer of is known less well.
+
+    within: (n_metrics, n_recordings), none where the correlation is not within recordings.
+    """
+    speaking = [len(np.unique(items.of_source[np.isfinite(row)])) for row in within if row.size]
+    return min(items.n_participants, *(speaking or [items.n_sources]))

@@ -1,4 +1,7 @@
-"""How names and numbers are written, so that text, tables and figures agree; sentences are in the templates."""
+"""How names and numbers are written, so that text, tables and figures agree; sentences are in the templates.
+
+Templates are rendered here too, with style sheet, drawings and script inside one HTML file.
+"""
 
 from __future__ import annotations
 
@@ -7,53 +10,48 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from feel321.types import MetricInfo
 
 if TYPE_CHECKING:
-    from feel321.types import MetricInfo
+    from jinja2 import Environment
 
+TEMPLATES = Path(__file__).parent / "templates"
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"  # Written where a number is not defined
 
+# Digits behind the point, per kind of number.
 PLACES = {"correlation": 2, "slope": 2, "rating": 1, "df": 1, "count": 0, "p": 3}
-"""Digits behind the point, per kind of number."""
-
+# Below this a probability is written as smaller; from here on a number is written with its power of ten.
 SMALLEST_P, UNWIELDY = 0.001, 1e6
-"""Below this a probability is written as smaller; from here on a number is written with its power of ten."""
-
+# Spaces at which no line may break: of a percent sign, and of a small probability with its name.
 TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
-"""Spaces at which no line may break: of a percent sign, and of a small probability with its name."""
-
 ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")  # Names of scales that are abbreviations
 
+# Suffix of a metric's name in a model -> how it is written.
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
-"""Suffix of a metric's name in a model -> how it is written."""
-
-_DECLARED: ContextVar[Mapping[str, MetricInfo]] = ContextVar(
-    "declared", default=MappingProxyType({})
-)
-"""What the metrics of the report that is being written declare: names are put into words in many places, most of which
-take them from a table's cell, and a report is written as a whole."""
-
+# What the metrics of the report that is being written declare: names are put into words in many places, most of which
+# take them from a table's cell, and a report is written as a whole.
+_DECLARED = ContextVar[Mapping[str, MetricInfo]]("declared", default=MappingProxyType({}))
+# Axis label of each metric; another metric is labelled by its name.
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",
     "temporal_match": "Temporal match (1 = same waveform as all axes)",
     "spectral_match_bounded": "Bounded spectral match (1 = identical energy)",
 }
-"""Axis label of each metric; another metric is labelled by its name."""
-
+# Scales that do not rate a stimulus by itself -> what they measure.
 MEASURES = {"dissimilarity": "dissimilarity from the reference", "abx": "percentage correct"}
-"""Scales that do not rate a stimulus by itself -> what they measure."""
-
+# Kinds of intervals, and how they are described.
 INTERVALS: Mapping[str, str] = MappingProxyType({
     "two-way": "95 % two-way bootstrap interval, over participants and recordings",
     "people": "95 % bootstrap interval over participants only: these stimuli as the only ones",
     "student": "95 % t interval over participants, for these recordings",
     "satterthwaite": "95 % t interval, Satterthwaite's degrees of freedom",
 })
-"""Kinds of intervals, and how they are described."""
-
 CONFIRMATORY, EXPLORATORY = "confirmatory", "exploratory"  # Declared before the ratings, or not
 
 
@@ -124,11 +122,6 @@ def keep_together(value: object) -> object:
     return TORN.sub("\N{NO-BREAK SPACE}", value) if type(value) is str else value
 
 
-def name_path(*parts: str) -> str:
-    """Join names to one, without two lists of names that give the same."""
-    return ".".join(part.replace("%", "%25").replace(".", "%2E") for part in parts)
-
-
 def join_words(names: Sequence[str], last: str = "and") -> str:
     """List names in a sentence: a, b and c."""
     return f" {last} ".join(filter(None, (", ".join(names[:-1]), names[-1])))
@@ -189,3 +182,67 @@ def format_p(p: float) -> str:
     """Write a probability behind its name."""
     told = format_number(p, kind="p")
     return f"p {told if told.startswith('<') else f'= {told}'}"
+
+
+def render_template(name: str, **values: object) -> str:
+    """Render a page, which finds the style sheet as `style` and the filters of `FILTERS`."""
+    style = (TEMPLATES / "page.css").read_text(encoding="utf-8")
+    return _open_templates(escape=True).get_template(name).render(style=style, **values)
+
+
+def render_words(name: str, macro: str = "lines", **facts: object) -> tuple[str, ...]:
+    """Render the sentences of a section, ``templates/words/NAME.j2``: paragraphs, parted by empty lines.
+
+    A line break and the spaces around it are a space; spaces before a point, comma or bracket are left out, so that a
+    template may be laid out for reading.
+    """
+    template = _open_templates(escape=False).get_template(f"words/{name}.j2")
+    text = str(getattr(template.module, macro)(**facts))
+    paragraphs = (re.sub(r"[ \n\t]+", " ", part).strip() for part in re.split(r"\n[ \t]*\n", text))
+    tidy = (re.sub(r" +(?=[,;.:)](?:\s|$|[,;.:)]))|(?<=\() +", "", part) for part in paragraphs)
+    return tuple(str(keep_together(part)) for part in tidy if part)
+
+
+@lru_cache(maxsize=2)
+def _open_templates(*, escape: bool) -> Environment:
+    """Open the templates, once for pages and once for words."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=escape,  # noqa: S701 - words are escaped by the page that they stand on
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        finalize=keep_together if escape else None,
+    )
+    environment.filters |= FILTERS
+    environment.tests["number"] = lambda value: isinstance(value, float) and math.isfinite(value)
+    return environment
+
+
+def _write_estimate(
+    ends: Mapping[str, float], kind: str = "correlation", lead: str = "95 % CI "
+) -> str:
+    """Write a value with its interval behind it, in brackets."""
+    value, interval = format_estimate(ends["value"], ends["low"], ends["high"], kind=kind)
+    return value if interval == ABSENT else f"{value} ({lead}{interval})"
+
+
+FILTERS: Mapping[str, Any] = {
+    "words": format_name,
+    "start": capitalise,
+    "list": list,
+    "named": lambda names, last="and": join_words([format_name(str(one)) for one in names], last),
+    "join_words": lambda names, last="and": join_words([str(one) for one in names], last),
+    "some": lambda names, most=3: name_some([str(one) for one in names], most),
+    "count": format_count,
+    "num": lambda value, kind="correlation": format_number(float(value), kind=kind),
+    "ends": lambda low, high, kind="correlation": format_interval(low, high, kind=kind),
+    "estimate": _write_estimate,
+    "p": format_p,
+    "level": format_level,
+    "percent": lambda share: f"{format_number(100 * share, kind='count')} %",
+}
+"""Filters of all templates: names and numbers as `feel321.analysis.words` writes them."""

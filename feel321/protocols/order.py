@@ -64,9 +64,8 @@ def _gather_trials(items: Sequence[Item], tasks: Sequence[Task]) -> Iterator[Tas
         compared = {name: protocol.compare(own, task) for name, own in by_recording.items()}
         groups = {name: comparisons for name, comparisons in compared.items() if comparisons}
         if not groups:
-            raise ValueError(
-                f"{task.protocol}: no stimulus of the set is to be judged; build a set with reducers to test"
-            )
+            what = f"{task.protocol}: no stimulus of the set is to be judged"
+            raise ValueError(f"{what}; build a set with reducers to test")
         lessons = {name: protocol.make_lessons(by_recording[name], task) for name in groups}
         yield TaskTrials(task, groups, lessons)
 
@@ -129,7 +128,7 @@ def _order_blocked(rounds: Sequence[Groups], *, number: int, rng: Generator) -> 
 
 
 def _spawn_participant(rng: Generator, number: int) -> Generator:
-    import numpy as np
+    import numpy as np  # not before it is needed: the command line answers at once
 
     return np.random.default_rng([int(rng.integers(2**63)), number])
 
@@ -175,11 +174,15 @@ def _order_random(rounds: Sequence[Groups], *, number: int, rng: Generator) -> I
         same = max(2 * count + (name == last.recording) for name, count in counts.items())
         spaced = 2 * sum(card.is_spaced for card in cards) + last.is_spaced
         unavoidable = sum(max(0, doubled - 1 - len(cards)) for doubled in (same, spaced))
-        best = _draw_order(cards, after=last, rng=own)
-        fewest, in_vain = _count_crowding([last, *best]), 0
+        best, fewest, in_vain = cards, 3 * len(cards) + 1, 0  # more than any order has
         while fewest > unavoidable and in_vain < PATIENCE:
             other = _draw_order(cards, after=last, rng=own)
-            crowding, in_vain = _count_crowding([last, *other]), in_vain + 1
+            in_vain += 1
+            # How often a recording, a spaced trial, and one and the same comparison follow themselves.
+            crowding = sum(
+                (one.recording == two.recording) + (one.is_spaced and two.is_spaced) + (one == two)
+                for one, two in pairwise([last, *other])
+            )
             if crowding < fewest:
                 best, fewest, in_vain = other, crowding, 0
         last = best[-1]
@@ -217,14 +220,6 @@ def _draw_order(cards: Sequence[_Card], *, after: _Card, rng: Generator) -> list
         order.append(pool[int(rng.integers(len(pool)))])
         left.remove(order[-1])
     return order[1:]
-
-
-def _count_crowding(order: Iterable[_Card]) -> int:
-    """Count how often a recording, a spaced trial and one and the same comparison follow themselves."""
-    return sum(
-        (this.recording == after.recording) + (this.is_spaced and after.is_spaced) + (this == after)
-        for this, after in pairwise(order)
-    )
 
 
 def find_crowding(trials: Iterable[Trial]) -> Iterator[str]:

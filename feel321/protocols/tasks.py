@@ -100,10 +100,8 @@ def split_arms(items: Items) -> tuple[Items, ...]:
     levels = dict.fromkeys(item.level for item in _select(items, "test"))
     if not levels:
         recordings = ", ".join(dict.fromkeys(repr(item.recording) for item in items)) or "unknown"
-        raise ValueError(
-            f"recording {recordings} must have at least one stimulus to test, got none; "
-            "name reducers and build the stimulus set again"
-        )
+        must = f"recording {recordings} must have at least one stimulus to test, got none"
+        raise ValueError(f"{must}; name reducers and build the stimulus set again")
     return tuple(select_items(items, {"level": level}) for level in levels)
 
 
@@ -337,36 +335,19 @@ class Protocol:
 _FELT, _ANY = (ORIGINAL, "reducer"), (ORIGINAL, SURFACE, "reducer")
 _RATING = Protocol("realism", compare_singly)
 _CHOICE = Protocol(
-    "preference",
-    compare_choices,
-    arrange=arrange_pair,
-    score=score_choice,
-    choices=CHOICES,
-    some_pairs=True,
-)
+    "preference", compare_choices, arrange=arrange_pair, score=score_choice, choices=CHOICES, some_pairs=True
+)  # fmt: skip
 _ALL = (
     _RATING,
     replace(_RATING, name="similarity", references=_ANY, sure_end=HIGHEST),
-    Protocol(
-        "dissimilarity",
-        compare_dissimilarity,
-        references=(ORIGINAL,),
-        teach=partial(compare_dissimilarity, teach=True),
-        arrange=arrange_pair,
-    ),
+    Protocol("dissimilarity", compare_dissimilarity, references=(ORIGINAL,), arrange=arrange_pair,
+             teach=partial(compare_dissimilarity, teach=True)),
     Protocol("mushra", compare_mushra, (FREE,), _FELT, arrange=arrange_mushra, sure_end=HIGHEST),
-    Protocol(
-        "abx",
-        compare_abx,
-        references=_FELT,
-        teach=partial(compare_abx, teach=True),
-        arrange=arrange_abx,
-        score=score_choice,
-        choices=CHOICES,
-    ),
+    Protocol("abx", compare_abx, references=_FELT, arrange=arrange_abx, score=score_choice, choices=CHOICES,
+             teach=partial(compare_abx, teach=True)),
     replace(_CHOICE, name="triplet", references=(*_ANY, EVERY)),
     _CHOICE,
-)
+)  # fmt: skip
 PROTOCOLS = Registry("protocol", {protocol.name: protocol for protocol in _ALL})
 """Name -> protocol, the only list of names. Later ones are added, none renamed."""
 
@@ -381,34 +362,19 @@ TIMES = {"gap_s": (0.0, 30.0), "answer_timeout_s": (0.5, 600.0), "onset_s": (0.5
 """The shortest and the longest time of each option, in s."""
 
 
-def make_task(  # noqa: PLR0913 - the options that a task has
-    name: str,
-    *,
-    timing: str | None = None,
-    reference: str | None = None,
-    surface: bool = False,
-    training: int = 0,
-    practice: int = 0,
-    pairs: int | None = None,
-    scales: Sequence[str] = (),
-    gap_s: float | None = None,
-    answer_timeout_s: float | None = None,
-    onset_s: float | None = None,
-) -> Task:
-    """Make a task of a protocol, or refuse options that it does not have.
+def make_task(name: str, **options: Any) -> Task:  # noqa: ANN401 - fields of a task
+    """Make a task of a protocol with options, fields of `Task`, or refuse those that it does not have.
 
-    None: the protocol's first timing or reference, all pairs, the session's own silence, no limit of time. training,
-    practice: numbers of trials, with feedback and without, before the first that counts. pairs: of each recording and
-    level. gap_s: silence before each part. onset_s: from the onset of a trial to that of the next.
+    Left out: the protocol's first timing or reference, all pairs, the session's own silence, no limit of time.
     """
     protocol = PROTOCOLS[check_name(name, PROTOCOLS, "protocol")]
-    timing = protocol.timings[0] if timing is None else timing
-    check_name(timing, protocol.timings, f"tasks.{name}.timing")
-    given = next(iter(protocol.references), ORIGINAL) if reference is None else reference
-    asked = () if [*scales] == [name] else tuple(scales)
-    options = (surface, training, practice, pairs, asked, gap_s, answer_timeout_s, onset_s)
-    task = Task(name, timing, given, *options)
-    faults = _list_faults(task, reference)
+    given = {key: value for key, value in options.items() if value is not None}
+    usual = {"timing": protocol.timings[0], "reference": next(iter(protocol.references), ORIGINAL)}
+    task = Task(name, **{**usual, **given})
+    check_name(task.timing, protocol.timings, f"tasks.{name}.timing")
+    scales = () if [*task.scales] == [name] else tuple(task.scales)
+    task = replace(task, scales=scales)
+    faults = _list_faults(task, given.get("reference"))
     if fault := next((words for words, is_so in faults.items() if is_so), ""):
         raise ValueError(f"tasks.{name}.{fault}")
     return task

@@ -61,12 +61,20 @@ def read_texts(language: str | PathLike = MODEL) -> dict[str, Any]:
         check_name(language, list_languages(), "language")
         return tomllib.loads((CATALOG / f"{language}.toml").read_text(encoding="utf-8"))
     path = Path(language)
-    own, base = _parse_own(path)
-    texts, model = _merge(base, own), read_texts()
-    lines: list[str] = []
-    for place, fault in find_gaps(texts, model):
-        known = [place for place, _ in _flatten(base)] if len(lines) < MOST_GUESSES else []
-        near = [] if place in known else get_close_matches(place, known, n=1, cutoff=0.5)
+    try:
+        own = tomllib.loads(read_small(path))
+        dict(_flatten(own))  # tables in tables without end exceed the recursion here
+    except (ValueError, RecursionError) as error:  # TOML's own errors and those of the encoding
+        raise ValueError(f"{path}: not valid TOML ({error}); fix it there") from None
+    changed = own.pop("language", MODEL)
+    if changed not in list_languages():
+        must = f"{path}: language must be one of {', '.join(list_languages())}, got {changed!r}"
+        raise ValueError(f"{must}; it gives the texts that the file leaves out")
+    base = read_texts(changed)
+    texts, known, lines = _merge(base, own), dict(_flatten(base)), list[str]()
+    for place, fault in find_gaps(texts, read_texts()):
+        guess = place not in known and len(lines) < MOST_GUESSES
+        near = get_close_matches(place, known, n=1, cutoff=0.5) if guess else []
         hint = f", did you mean {near[0]}?" if near else ""
         lines.append(f"{path}: {place} {fault}{hint}; compare protocols/catalog/{MODEL}.toml")
     if lines:
@@ -81,22 +89,6 @@ def find_gaps(texts: dict[str, Any], model: dict[str, Any]) -> Iterator[tuple[st
         if fault := _find_fault(place, own[place], words) if place in own else "is missing":
             yield place, fault
     yield from ((place, "is not a known text") for place in own if place not in wanted)
-
-
-def _parse_own(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Read an own file, and the texts of the language that it changes."""
-    try:
-        own = tomllib.loads(read_small(path))
-        dict(_flatten(own))  # tables in tables without end exceed the recursion here
-    except (ValueError, RecursionError) as error:  # TOML's own errors and those of the encoding
-        raise ValueError(f"{path}: not valid TOML ({error}); fix it there") from None
-    language = own.pop("language", MODEL)
-    if language not in list_languages():
-        raise ValueError(
-            f"{path}: language must be one of {', '.join(list_languages())}, got {language!r}; "
-            "it gives the texts that the file leaves out"
-        )
-    return own, read_texts(language)
 
 
 def _merge(base: dict[str, Any], own: dict[str, Any]) -> dict[str, Any]:

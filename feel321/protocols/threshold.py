@@ -25,14 +25,13 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from feel321.arguments import as_rng, check_name, describe
 from feel321.protocols.tasks import find_reference
 from feel321.protocols.trial import MATCHING, RATING_RANGE, THRESHOLD, Item, Judgement, Part, Trial
-
-if TYPE_CHECKING:
-    from feel321.types import Samples
+from feel321.types import Samples
 
 GUESS = 0.5  # share of correct answers without any vibration
 SLOPES = (1.0, 8.0, 16)  # Weibull slopes thought possible: from, to, how many, in geometric steps
@@ -61,10 +60,8 @@ class ThresholdPlan:
         """Refuse levels out of order; the settings check the numbers of trials, and nobody sets the rest."""
         low, start, high = self.lowest_db, self.start_db, self.highest_db
         if not (0 < high - low <= MOST_DB and low <= start <= high):
-            raise ValueError(
-                f"highest_db must be above lowest_db, by {MOST_DB} dB at most, and start_db between "
-                f"them; got {high}, {low} and {start}"
-            )
+            must = f"highest_db must be above lowest_db, by {MOST_DB} dB at most, and start_db between them"
+            raise ValueError(f"{must}; got {high}, {low} and {start}")
 
     @property
     def proportion(self) -> float:
@@ -113,8 +110,6 @@ def predict_correct(
     lapse: float | None = None,
 ) -> Samples:
     """Predict the share of correct answers, P(x) of this module's equation; arguments broadcast."""
-    import numpy as np
-
     height = 1 - GUESS - (plan.lapse if lapse is None else lapse)
     scale = -math.log1p(-(plan.proportion - GUESS) / height)
     rise = -scale * np.power(10.0, slope * (level_db - threshold_db) / 20)
@@ -133,8 +128,6 @@ class Procedure:
     """A measurement as ask/tell: the trials' order, what was answered, and the posterior given that."""
 
     def __init__(self, name: str, plan: ThresholdPlan) -> None:
-        import numpy as np
-
         self.is_staircase = check_name(name, PROCEDURES, "procedure") == "staircase"
         self.plan = plan
         self.shown: list[Presentation] = []
@@ -235,8 +228,6 @@ def find_tail(hits: int, trials: int) -> float:
 
 def _make_grid(plan: ThresholdPlan) -> tuple[Samples, Samples]:
     """Make the thresholds, shape (n, 1), and slopes, shape (1, m), that are thought possible."""
-    import numpy as np
-
     low, high = plan.lowest_db - MARGIN_DB, plan.highest_db + MARGIN_DB
     count = math.ceil((high - low) / THRESHOLD_STEP_DB) + 1
     return np.linspace(low, high, count)[:, None], np.geomspace(*SLOPES)[None, :]
@@ -245,8 +236,6 @@ def _make_grid(plan: ThresholdPlan) -> tuple[Samples, Samples]:
 @lru_cache(maxsize=8)
 def _make_tables(plan: ThresholdPlan) -> tuple[Samples, Samples, Samples]:
     """Make the levels to choose from, (k,), and chances and entropies of an answer at them, (k, n m)."""
-    import numpy as np
-
     count = round((plan.highest_db - plan.lowest_db) / LEVEL_STEP_DB) + 1
     levels = np.linspace(plan.lowest_db, plan.highest_db, max(count, 2))
     chances = np.stack([_predict_grid(plan, level).ravel() for level in levels])
@@ -261,8 +250,6 @@ def _predict_grid(plan: ThresholdPlan, level_db: float) -> Samples:
 
 def _summarise(values: Samples, weights: Samples) -> tuple[float, float, float]:
     """Return mean and central 95 % interval of a discrete distribution, interpolated."""
-    import numpy as np
-
     below = np.cumsum(weights) - weights / 2
     low, high = np.interp((0.025, 0.975), below, values)
     return float(weights @ values), float(low), float(high)
@@ -270,7 +257,6 @@ def _summarise(values: Samples, weights: Samples) -> tuple[float, float, float]:
 
 def _binary_entropy(chances: Samples) -> Samples:
     """Entropy of a yes or no of the given probability, in bits."""
-    import numpy as np
     from scipy.special import entr
 
     chances = np.clip(chances, 0, 1)  # a mean of ones may round to more than one
@@ -297,8 +283,6 @@ class ThresholdBlock:
 
 def draw_block(block: ThresholdBlock, *, seed: int, number: int) -> ThresholdBlock:
     """Draw the block of participant `number` (from 1): another frequency comes first each time."""
-    import numpy as np
-
     turn = (number - 1) % len(block.frequencies_hz)
     order = block.frequencies_hz[turn:] + block.frequencies_hz[:turn]
     seeds = np.random.default_rng([seed, number, len(order)]).integers(2**31, size=len(order))
@@ -340,8 +324,6 @@ class Detection:
     def present(self, trial: Trial) -> Presentation:
         """Return what a trial presents if it comes now."""
         if trial.phase != THRESHOLD:
-            import numpy as np
-
             rng = np.random.default_rng([self.block.seeds[0], trial.number])
             return Presentation(int(rng.integers(1, 3)), self.block.plan.start_db)
         if (following := self._procedures[self.find_frequency(trial)].next()) is None:
@@ -378,8 +360,6 @@ def draw_matching(
     block: MatchingBlock | None, items: Sequence[Item], *, first_number: int, key: Sequence[int]
 ) -> tuple[MatchingBlock | None, tuple[Trial, ...]]:
     """Draw the block of a participant, if there is one: trials in random order, and the levels at which they begin."""
-    import numpy as np
-
     if block is None:
         return None, ()
     pairs: list[tuple[Item, Item]] = []

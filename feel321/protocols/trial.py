@@ -223,7 +223,11 @@ class Page:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A protocol with the options of a study; `make_task` checks them and says what each is."""
+    """A protocol with the options of a study, which `make_task` checks.
+
+    training, practice: numbers of trials, with feedback and without, before the first that counts. pairs: of each
+    recording and level. gap_s: silence before each part. onset_s: from the onset of a trial to that of the next.
+    """
 
     protocol: str
     timing: str

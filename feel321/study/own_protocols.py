@@ -46,9 +46,8 @@ def admit_protocols(given: Sequence[str], folder: Path) -> tuple[str, ...]:
     """Load a study's own protocols and put them beside feel321's; returns the short names of all."""
     names = tuple(name if name in OURS else _admit(name, folder) for name in given)
     if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(
-            f"session.protocols must hold each name once; more than once: {', '.join(doubled)}"
-        )
+        must = "session.protocols must hold each name once"
+        raise ValueError(f"{must}; more than once: {', '.join(doubled)}")
     return names
 
 
@@ -64,9 +63,8 @@ def require_protocols(path: Path, names: Sequence[str], digests: Mapping[str, st
     except (OSError, LookupError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{path}: {', '.join(own)} cannot be opened: {error}") from None
     if lost := [name for name in own if name not in PROTOCOLS]:
-        raise ValueError(
-            f"{path}: protocol {', '.join(lost)} is not in session.protocols of {settings.name}; name it there again"
-        )
+        what = f"{path}: protocol {', '.join(lost)} is not in session.protocols of {settings.name}"
+        raise ValueError(f"{what}; name it there again")
 
 
 def add_texts(texts: dict[str, Any], names: Sequence[str]) -> None:
@@ -81,9 +79,8 @@ def add_texts(texts: dict[str, Any], names: Sequence[str]) -> None:
         given = texts["scales"].get(name) or scale  # the study's own [scales.NAME] come first
         shown = {key: own[key] for key in PAGE if key in own}
         if missing := ", ".join(key for key in (*WORDS, *PAGE) if key not in given | shown):
-            raise ValueError(
-                f"protocol {name} has no {missing}; give texts={{...}} to its Protocol"
-            )
+            what = f"protocol {name} has no {missing}"
+            raise ValueError(f"{what}; give texts={{...}} to its Protocol")
         choices = {"choices": list(protocol.choices)} if protocol.choices else {}
         texts["scales"][name] = {**given, **choices}
         texts["pages"][page] = shown
@@ -93,9 +90,8 @@ def _admit(given: str, folder: Path) -> str:
     method = find_method("protocol", given, taken=(*OURS, THRESHOLD, MATCHING), folder=folder)
     found = method.load()
     if not isinstance(found, Protocol):
-        raise TypeError(
-            f"{method}: must be a feel321.protocols.tasks.Protocol, got {describe(found)}; make one of it"
-        )
+        must = f"{method}: must be a feel321.protocols.tasks.Protocol, got {describe(found)}"
+        raise TypeError(f"{must}; make one of it")
     if fault := next(_find_protocol_faults(found, method.name), ""):
         raise ValueError(f"{method}: {fault}")
     own, teach = partial(_compare, method=method), found.teach

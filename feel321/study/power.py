@@ -14,7 +14,6 @@ from pandas import DataFrame, concat
 
 from feel321 import __version__
 from feel321.analysis import figures
-from feel321.analysis.page import render_words
 from feel321.analysis.power import plan as planning
 from feel321.analysis.power.design import ENOUGH, GROUPS, PowerDesign, Truth
 from feel321.analysis.primary.model import fit_primary
@@ -23,7 +22,7 @@ from feel321.analysis.report import folder as results
 from feel321.analysis.report.section import Picture, find_table_steps
 from feel321.analysis.table.items import Table, split_tests
 from feel321.analysis.table.reading import Further, read_table
-from feel321.analysis.words import format_name
+from feel321.analysis.words import format_name, render_words
 from feel321.arguments import check_name
 from feel321.jobs import Workers
 from feel321.protocols.tasks import find_other
@@ -38,7 +37,7 @@ from feel321.study.settings.read import list_origins
 from feel321.study.settings.schema import Settings
 
 Numbers = int | Sequence[int]
-Row = dict[str, Any]
+Row = dict[Any, Any]
 
 OWN = "study"  # A pilot that is no file: the study's own ratings
 PEOPLE = 16  # Raters of each attribute in the design around which others are compared
@@ -215,9 +214,7 @@ def _fit_pilot(table: Table, metrics: Sequence[str], *, name: str, known: Truth)
         squares = float(((rows[RATING] - cells.transform("mean")) ** 2).sum())
         rating_sd = np.sqrt(squares / spare) if spare else 0.0
         model = fit_primary(rows, metrics, explain=False)
-        spreads = {
-            (one["group"], one["term"]): one["sd"] for one in model.fit.variances.to_dict("records")
-        }
+        spreads = model.fit.variances.set_index(["group", "term"])["sd"].to_dict()
         own, residual = spreads.get((f"{WHO}:{ITEM}", "(Intercept)")), model.fit.residual_sd
         if own is None:
             own = np.sqrt(max(residual**2 - rating_sd**2 / repeats, 0.0))
@@ -339,8 +336,7 @@ class StudyPower(results.PageResult):
         """Find what is known of a hypothesis in the design that is shown, and what was planted."""
         power = self.plan.shown
         place = power.design.hypotheses.index(hypothesis)
-        found = {**power.table.iloc[place].to_dict(), **self.task.effects.iloc[place].to_dict()}
-        return {str(name): value for name, value in found.items()}
+        return {**power.table.iloc[place].to_dict(), **self.task.effects.iloc[place].to_dict()}
 
     def _make_page(self, tables: Mapping[str, DataFrame]) -> results.PageParts:
         plan, task, own = self.plan, self.task, self.plan.powers[0].design
@@ -393,15 +389,13 @@ def draw_power(table: DataFrame, own: int, *, wanted: float) -> Figure:
             axes.plot(rows["people"], rows["power"], color=colour, linestyle=walk, label=name)
             seen = rows[rows["simulated"].notna()]
             axes.vlines(seen["people"], seen["simulated_low"], seen["simulated_high"], color=colour)
-            dots = axes.plot(seen["people"], seen["simulated"], "o", color="white", zorder=5)
-            dots[0].set_markeredgecolor(colour)
+            axes.plot(seen["people"], seen["simulated"], "o", color="white", mec=colour, zorder=5)
             end = rows.iloc[-1]
             limit = [end["people"], endless], [end["power"], end["ceiling"]]
             axes.plot(*limit, color=colour, linestyle=(0, (2, 2)), linewidth=figures.THIN)
         axes.axhline(wanted, color=figures.GREY, linewidth=figures.THIN, zorder=1)
-        axes.set(xlabel="Participants", ylabel="Power", ylim=(-0.02, 1.04))
+        axes.set(xlabel="Participants", ylabel="Power", ylim=(-0.02, 1.04), xlim=(None, endless))
         axes.set_yticks(np.arange(0, 1.01, 0.2))
-        axes.set_xlim(right=endless)
         axes.grid(axis="y", color=figures.PALE, linewidth=figures.THIN)
         axes.set_axisbelow(True)
         ticks = people[:: max(1, len(people) // 8)]

@@ -183,7 +183,7 @@ def watch_study(study: StudyFolder, page: Path, *, now: Clock) -> None:
 
 def write_page(study: StudyFolder, known: Known, now: datetime, *, is_over: bool = False) -> str:
     """Write the page; nothing that was written in free words is shown."""
-    from feel321.analysis.page import render_template
+    from feel321.analysis.words import render_template
 
     rows: list[dict[str, Any]] = []
     for one in sorted(look(study, known)[0], key=lambda one: STATES.index(one.state)):

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import list_changes
 from feel321.analysis.report.answer import list_clauses, make_cards
 from feel321.analysis.report.raters import conclude_panels
 from feel321.analysis.report.section import Found, make_row
+from feel321.analysis.words import render_words
 
 OUTCOMES = ("predicts", "opposite", "open", "not_estimable")
 NONE = {"value": math.nan, "low": math.nan, "high": math.nan}

@@ -7,14 +7,13 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from feel321.analysis.page import render_words
 from feel321.analysis.report import means, primary
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.columns import find_steps, order_reducers
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import read_table
-from feel321.analysis.words import declaring
+from feel321.analysis.words import declaring, render_words
 from feel321.stimuli.reducers.registry import REDUCERS
 from feel321.types import MATCHES, MetricInfo
 

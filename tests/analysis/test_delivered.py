@@ -6,13 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import vary_primary
 from feel321.analysis.report import primary, raters
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import split_tests
 from feel321.analysis.table.reading import Table, read_table
+from feel321.analysis.words import render_words
 
 LOSS = 0.1
 USUAL, ODD = "a1b2c3d4e5f6", "b7c1d2e3f4a5"

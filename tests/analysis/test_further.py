@@ -5,12 +5,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.page import render_words
 from feel321.analysis.report import means, primary
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.columns import FURTHER
 from feel321.analysis.table.reading import Further, read_table
+from feel321.analysis.words import render_words
 from feel321.types import MATCHES
 
 MEAN, SD = "spectral_match_rotation_mean", "temporal_match_rotation_sd"

@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from feel321 import analysis, results, stimuli
-from feel321.analysis.association import correlate
 from feel321.analysis.contrasts import compare
 from feel321.analysis.report.means import compute_contrasts
 from feel321.analysis.report.section import find_row
@@ -149,17 +148,3 @@ def test_names_of_other_packages_are_repeated_rightly() -> None:
     assert schema.SURFACE == SURFACE
     scales = set(PROTOCOLS)
     assert set(schema.APART) <= scales
-
-
-def test_correlations_are_plotted_beside_their_ceilings(realism: results.Table) -> None:
-    found = pd.DataFrame([correlate(realism, name, draws=20) for name in realism.metrics])
-    axes = analysis.plot_correlations(found, ax=Figure().subplots())
-    dots, bars = read_forest(axes)
-    assert dots == list(found["value"])
-    assert bars == found[["low", "high"]].to_numpy().tolist()
-    (ceilings,) = (part.get_segments() for part in axes.collections)
-    np.testing.assert_array_equal([bar[0, 0] for bar in ceilings], found["ceiling"])
-    labels = [label.get_text() for label in axes.get_yticklabels()]
-    assert len(set(labels)) == len(found)
-    one = analysis.correlate(realism, "spectral_match", draws=20, rng=0)
-    assert analysis.plot_correlations(one, ax=Figure().subplots()).get_yticklabels()

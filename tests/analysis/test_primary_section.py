@@ -8,7 +8,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.page import render_words
 from feel321.analysis.primary import sensitivity
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.primary.plan import make_cells
@@ -18,6 +17,7 @@ from feel321.analysis.report.primary import keep_steady
 from feel321.analysis.report.section import Found, find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
+from feel321.analysis.words import render_words
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
 METRICS = ("spectral_match_bounded", "temporal_match")

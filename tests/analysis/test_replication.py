@@ -9,7 +9,6 @@ import pandas as pd
 import pytest
 
 from feel321.analysis import replication
-from feel321.analysis.page import render_words
 from feel321.analysis.primary.model import fit_slopes
 from feel321.analysis.primary.plan import REDUCER, make_cells
 from feel321.analysis.primary.sensitivity import measure_excess
@@ -29,7 +28,8 @@ from feel321.analysis.report.section import Found
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further, read_table
-from feel321.records import MEASURES
+from feel321.analysis.words import render_words
+from feel321.types import MEASURES
 
 CLAIM = PaperClaim("one", "It is so", "ours", "slope")
 NEAR = replace(CLAIM, expect="near", paper=(0.5, 0.4, 0.6))

@@ -18,7 +18,7 @@ from scipy import stats
 
 import feel321.analysis.report.folder
 from feel321.analysis import words
-from feel321.analysis.page import inline_svg
+from feel321.analysis.figures import inline_svg
 from feel321.analysis.report.folder import list_files, write_folder
 from feel321.analysis.report.section import find_row, make_row, make_slug
 from feel321.analysis.report.write import QUESTIONS, SECTIONS, order_scales, write_report
@@ -125,7 +125,7 @@ WRITTEN = [
     (words.format_name("spectral_match_bounded_delivered"), "bounded spectral match delivered"),
     (words.format_name("mushra"), "MUSHRA"), (words.format_method("within_kendall"), "Kendall within recordings"),
     (words.format_note("as_is: 'mine_w' is odd.", ["as_is", "mine"]), "as is: mine within recordings is odd."),
-    (words.keep_together("95 % interval"), "95\xa0% interval"), (words.name_path("v1.0", "as_is"), "v1%2E0.as_is"),
+    (words.keep_together("95 % interval"), "95\xa0% interval"),
     (words.join_words(["a", "b", "c"]), "a, b and c"), (words.name_some(list("abcde")), "a, b, c and 2 more"),
     (words.format_count(1, "participant"), "1 participant"), (words.format_span([6, 4, 5]), "4–6"),
     (format_number(-0.256), "−0.26"), (format_number(-0.001), "0.00"), (format_number(-1e200), "−1.0e+200"),

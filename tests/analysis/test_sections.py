@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 
 from feel321.analysis.contrasts.compare import equivalence
-from feel321.analysis.page import render_words
 from feel321.analysis.primary.sensitivity import adjust_holm
 from feel321.analysis.report import means, primary, raters
 from feel321.analysis.report import section as parts
 from feel321.analysis.report.section import find_row
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table, read_table
+from feel321.analysis.words import render_words
 
 METRICS = ("spectral_match", "temporal_match")
 ARMS = ("as_is", "equal_intensity")

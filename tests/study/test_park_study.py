@@ -4,12 +4,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from feel321.analysis.page import render_words
 from feel321.analysis.primary.model import fit_primary
 from feel321.analysis.report import answer, primary
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further, read_table
+from feel321.analysis.words import render_words
 from feel321.study.analyze import make_paper, measure_declared
 from feel321.study.check import build_study
 from feel321.study.folder import StudyFolder, create_study

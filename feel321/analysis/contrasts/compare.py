@@ -72,8 +72,6 @@ def equivalence(estimate: float, se: float, df: float, *, low: float, high: floa
     >>> result = analysis.equivalence(1.5, 1.2, 11, low=-5, high=5)
     >>> round(result.t_high, 3), round(result.p, 4), result.equivalent
     (-2.917, 0.007, True)
-    >>> round(result.low90, 2), round(result.high90, 2)
-    (-0.66, 3.66)
     """
     for name, value in {"estimate": estimate, "low": low, "high": high}.items():
         if not math.isfinite(value):

@@ -354,12 +354,9 @@ def _choose_unit(factors: Sequence[Factor]) -> Factor:
     def find_cost(unit: Factor) -> float:
         own = shared = 0.0
         for factor in factors:
-            _, place = nest(factor, unit)
-            width = sum(len(term.names) for term in factor.terms)
-            if place is None:
-                shared += factor.n_levels * width
-            else:
-                own += (int(place.max()) + 1) * width
+            place, width = nest(factor, unit)[1], sum(len(term.names) for term in factor.terms)
+            own += 0 if place is None else (int(place.max()) + 1) * width
+            shared += factor.n_levels * width if place is None else 0
         return unit.n_levels * own**2 * (own + shared) + shared**3
 
     return min(factors, key=find_cost)

@@ -35,7 +35,6 @@ Codes = NDArray[np.intp]
 LEVEL = 0.05  # Of all tests of a study together, by Holm's method
 ENOUGH = 0.8  # Power that is asked for
 SIZES = ("participants", "recordings", "reducers", "repeats")  # What a plan varies
-
 # No smaller study is advised, however large the slope: intervals over fewer are too unsure of themselves.
 LEAST = {"participants": 6, "recordings": 4, "reducers": 3}
 MOST = {"participants": 10_000, "recordings": 1000}  # Nobody recruits or records more

@@ -24,11 +24,10 @@ from feel321.analysis.table.schema import HIGHEST, LOWEST
 from feel321.analysis.words import ABSENT, format_count
 from feel321.types import Samples
 
+# Sizes that are tried, as multiples of the given ones.
 FACTORS: Mapping[str, tuple[float, ...]] = {
     "participants": (0.5, 0.75, 1, 1.5, 2, 3), "recordings": (0.5, 1, 1.5, 2, 3), "reducers": (0.5, 1, 1.5),
 }  # fmt: skip
-"""Sizes that are tried, as multiples of the given ones."""
-
 REPEATS = (1, 2, 3, 4)
 CHUNK = 50  # Simulated studies of one job
 TRIED = 8  # Designs that are simulated in search of one that its simulation does not refute
@@ -67,22 +66,19 @@ class Power:
 def find_power(design: PowerDesign, simulate: Simulate | None = None) -> Power:
     """Find the power of a design, in closed form and, where something simulates, in simulated studies."""
     forms = {metric: ClosedForm(design, place) for place, metric in enumerate(design.metrics)}
-    notes = [f"Standard deviations: {design.truth.source}."]
-    if len(design.hypotheses) > 1:
-        first = f"{design.level:.3g}, the first step of Holm's method over {len(design.hypotheses)} tests"
-        notes.append(f"The closed form is at a level of {first}.")
-    if len(design.attributes) > 1:
-        apart = "independent of each other, although the same people rate them"
-        notes.append(f"Attributes are taken to be {apart}.")
-    if not design.is_own:
-        notes.append(
-            "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are "
-            "more than the set has, some are used more than once, with the same metrics."
-        )
-    if SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique:
-        lower = "what else they share is not simulated, so actual power is lower"
-        notes.append(f"Several recordings come from one source; {lower}.")
-    rows = []
+    shared = SOURCE in design.items and not design.items.drop_duplicates(SCENE)[SOURCE].is_unique
+    said = {
+        f"Standard deviations: {design.truth.source}.": True,
+        f"The closed form is at a level of {design.level:.3g}, the first step of Holm's method over "
+        f"{len(design.hypotheses)} tests.": len(design.hypotheses) > 1,
+        "Attributes are taken to be independent of each other, although the same people rate them.":
+            len(design.attributes) > 1,
+        "Recordings and reducers are drawn from those of the stimulus set anew for every study; where there are more "
+        "than the set has, some are used more than once, with the same metrics.": not design.is_own,
+        "Several recordings come from one source; what else they share is not simulated, so actual power is lower.":
+            shared,
+    }  # fmt: skip
+    rows, notes = [], [note for note, holds in said.items() if holds]
     for attribute, metric in design.hypotheses:
         form, slope = forms[metric], design.truth.find_slope(attribute, metric)
         rows.append({
@@ -260,9 +256,6 @@ def describe_units(recordings: int, reducers: int) -> str:
     return f"{format_count(recordings, 'recording')} × {format_count(reducers, 'reducer')}"
 
 
-# Simulated studies: ratings are drawn with the planted truth, and the primary model is fitted.
-
-
 def draw_ratings(design: PowerDesign, stimuli: Stimuli, rng: np.random.Generator) -> Samples:
     """Draw ratings with the planted slopes and spreads, (n_attributes, people, n_items, repeats)."""
     truth, (people_sds, scene_sds) = design.truth, design.slope_sds
@@ -304,11 +297,9 @@ def simulate_studies(
     key = int(sha256(repr(listed).encode()).hexdigest()[:16], 16)
     chunks = [range(start, min(start + CHUNK, studies)) for start in range(0, studies, CHUNK)]
     todo: list[jobs.Job] = [(_fit_studies, (design, [seed, key], places), {}) for places in chunks]
-    steps = count(1)
+    step = count(1)
     progress(0, len(todo))
-    found = jobs.gather_results(
-        todo, workers=workers, done=lambda: progress(next(steps), len(todo))
-    )
+    found = jobs.gather_results(todo, workers=workers, done=lambda: progress(next(step), len(todo)))
     return np.concatenate([np.empty((0, len(design.hypotheses))), *found])
 
 

@@ -1,10 +1,9 @@
 """The primary analysis: slopes of ratings on metrics within recordings, for people and stimuli in general.
 
 Stimuli are a sample as people are. A model without a term for them takes the many ratings of one stimulus for
-independent evidence: in simulated studies 41 % of its tests found a metric that predicts nothing. Nor are the stimuli
-of one reducer independent: what a reducer feels like for reasons that no metric knows is the same in every recording.
-The model here holds every source of spread that the design has, and is reduced only where the data cannot carry it,
-each time in words; never because a test says that a spread may be zero.
+independent evidence: in simulated studies 41 % of its tests found a metric that predicts nothing. The model here holds
+every source of spread that the design has, and is reduced only where the data cannot carry it, each time in words;
+never because a test says that a spread may be zero.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -38,13 +37,11 @@ from feel321.records import Statistic
 
 TENTH = 0.1
 FEW = 5  # Fewer people, recordings (or sources) or reducers leave their spread all but unknown
+# Participants, recordings (or sources of them) and reducers; degrees of freedom. With fewer, no slope is estimable.
 FEWEST, FEWEST_DF = 3, 2.0
-"""Participants, recordings (or sources of them) and reducers; degrees of freedom. With fewer, no slope is estimable."""
-
 TESTED = ("se", "df", "t", "p", "low", "high")  # What is NaN where it is not estimable
+# Column of an estimate -> that of the slope which is centred on recordings and on reducers.
 CENTRED = {"estimate": "centred", **{name: f"centred_{name}" for name in TESTED if name != "t"}}
-"""Column of an estimate -> that of the slope which is centred on recordings and on reducers."""
-
 NONE, IN_MODEL = float("nan"), "in_model"
 
 
@@ -65,12 +62,17 @@ class Primaries(Statistic):
 
 
 class Slopes(NamedTuple):
-    """Slopes within recordings, and the model behind them: all that a refit is for."""
+    """Slopes within recordings, and the model behind them: all that a refit is for.
+
+    lack: what the design has too little of for any interval. scales: metric -> factor of its standardised slope.
+    """
 
     table: pd.DataFrame
     cells: Cells
     terms: Terms
     solved: Solved
+    lack: str
+    scales: Mapping[str, float]
 
 
 def fit_slopes(
@@ -80,15 +82,19 @@ def fit_slopes(
     terms = plan_terms(cells, correlated=correlated, reducers=reducers)
     is_alike = near and (near.terms.random, near.terms.penalty) == (terms.random, terms.penalty)
     design = build_design(terms.formula, cells.table)
-    solved = solve_design(
-        design,
-        penalty=terms.penalty,
-        most_df=terms.most_df,
-        near=near.solved.best.theta if near and is_alike else None,
-    )
+    start = near.solved.best.theta if near and is_alike else None
+    solved = solve_design(design, penalty=terms.penalty, most_df=terms.most_df, near=start)
+    sizes = {WHO: cells.count(WHO), SOURCE if cells.shared else SCENE: cells.n_sources}
+    sizes |= {REDUCER: cells.count(REDUCER)} if REDUCER in cells.table else {}
+    few = [f"{count} {name}{'s' * (count > 1)}" for name, count in sizes.items() if count < FEWEST]
+    lack = f"with {' and '.join(few)}, where {FEWEST} are needed" if few else ""
+    # What turns a slope of each metric into a standardised one.
+    spread = cells.table[RATING].std()
+    within = [name for name in terms.fixed if name.endswith("_w")]
+    scales = {name[:-2]: float(cells.table[name].std() / spread) for name in within}
     # How far apart the quartiles of each metric within recordings are, each stimulus counted once.
-    items, lack, rows = cells.rated, _find_lack(cells), {}
-    for name, scale in _find_scales(cells, terms).items():
+    items, rows = cells.rated, {}
+    for name, scale in scales.items():
         span = float(np.subtract(*np.percentile(items[f"{name}_w"], [75, 25])))
         row = _blank(solved.estimate({f"{name}_w": 1.0}), lack=lack)
         for prefix, unit in {"quartile": span, "tenth": TENTH, "standardised": scale}.items():
@@ -97,7 +103,7 @@ def fit_slopes(
             row |= {f"{prefix}_{end}": row[end] * unit for end in ("low", "high")}
         rows[name] = row | {"quartile_span": span, "estimable": bool(np.isfinite(row["se"]))}
     table = pd.DataFrame.from_dict(rows, orient="index").rename_axis("metric")
-    return Slopes(table, cells, terms, solved)
+    return Slopes(table, cells, terms, solved, lack, scales)
 
 
 def fit_primary(
@@ -156,9 +162,8 @@ def fit_primary(
     is the metric minus its recording's mean, ``_b`` that mean. Restricted maximum likelihood, Satterthwaite's degrees
     of freedom, at most twice as many as recordings less two.
 
-    Recordings differ in their slopes as people do, and reducers are a random factor as stimuli are: without these
-    terms a recording whose slope is steep by chance, or a reducer that feels odd everywhere, counts as evidence of as
-    many stimuli. Where fewer than 8 reducers were rated, their spread gets the penalty of Chung et al. (2013).
+    Recordings differ in their slopes as people do, and reducers are a random factor as stimuli are. Where fewer than 8
+    reducers were rated, their spread gets the penalty of Chung et al. (2013).
 
     What loses energy matches worse and is weaker: the level of stimuli (``sensation_level_db``, else ``rms_m_s2``, else
     ``level_difference``) is in the model where each has one, within recordings: ``level_db``, no hypothesis.
@@ -193,7 +198,7 @@ def fit_primary(
     rows, names = choose_arms(table, scale, level), choose_metrics(table, metrics)
     cells = make_cells(open_ratings(rows), names)
     found = fit_slopes(cells, reducers=reducers)
-    terms, lack = found.terms, _find_lack(cells)
+    terms, lack, scales = found.terms, found.lack, found.scales
     fit = report_fit(terms.formula, found.solved)
     explained, why = _explain_items(found) if explain else (NONE, [])
     centred, why_not = _centre_slopes(found, wanted=explain)
@@ -203,7 +208,7 @@ def fit_primary(
     if explain and level == IN_MODEL:
         bare = fit_slopes(cells.ignore_level(), reducers=reducers).table
         plain = bare[["estimate", "p"]].set_axis(["plain", "plain_p"], axis=1)
-    differences, scales = [], _find_scales(cells, terms)
+    differences = []
     for first, second in combinations(scales, 2):
         row: dict[str, object] = {"first": first, "second": second}
         both = {"": (1.0, 1.0), "standardised_": (scales[first], scales[second])}
@@ -222,7 +227,7 @@ def fit_primary(
         n_rows=fit.n_rows, n_participants=cells.count(WHO), n_recordings=cells.count(SCENE), n_items=cells.count(ITEM),
         n_sources=cells.n_sources, n_reducers=cells.count(REDUCER),
         reductions=terms.reductions, model_frame=cells.table,
-        notes=(*cells.notes, *fit.notes, *why, *why_not, *_note_limits(found, lack)),
+        notes=(*cells.notes, *fit.notes, *why, *why_not, *_note_limits(found)),
         penalty=terms.penalty, level=level,
     )  # fmt: skip
 
@@ -243,11 +248,6 @@ def fit_attributes(
         One or more; those of the Table if left out.
     attribute : str, optional
         The column's name; scale, and level where there are several, if left out.
-
-    Returns
-    -------
-    Primaries
-        Attribute -> its model, in alphabetical order.
     """
     rows, names = open_ratings(table), choose_metrics(table, metrics)
     several = attribute is None and "level" in rows and len(rows["level"].unique()) > 1
@@ -274,12 +274,7 @@ def tabulate_slopes(models: Mapping[str, Primary]) -> pd.DataFrame:
 
 
 def adjust_holm(p: Sequence[float]) -> list[float]:
-    """Adjust probabilities for their number by Holm's step-down method; NaN stays NaN and does not count.
-
-    References
-    ----------
-    Holm (1979), Scandinavian Journal of Statistics 6, 65-70.
-    """
+    """Adjust probabilities for their number by Holm's step-down method (1979); NaN stays NaN and does not count."""
     # Not statsmodels' multipletests: it collects garbage each time, which took a fifth of a study's analysis.
     values = np.asarray(p, dtype=np.float64)
     order = np.argsort(values)[: np.isfinite(values).sum()]
@@ -289,25 +284,10 @@ def adjust_holm(p: Sequence[float]) -> list[float]:
     return [float(value) for value in adjusted]
 
 
-def _find_lack(cells: Cells) -> str:
-    """Describe what the design has too little of for any interval; empty where nothing is lacking."""
-    sizes = {WHO: cells.count(WHO), SOURCE if cells.shared else SCENE: cells.n_sources}
-    sizes |= {REDUCER: cells.count(REDUCER)} if REDUCER in cells.table else {}
-    few = [f"{count} {name}{'s' * (count > 1)}" for name, count in sizes.items() if count < FEWEST]
-    return f"with {' and '.join(few)}, where {FEWEST} are needed" if few else ""
-
-
 def _blank(estimate: Statistic, *, lack: str) -> dict[str, float]:
     """Take the test and the interval from an estimate that the data cannot carry."""
     known = not lack and estimate.df >= FEWEST_DF
     return dict(estimate) if known else dict(estimate) | dict.fromkeys(TESTED, NONE)
-
-
-def _find_scales(cells: Cells, terms: Terms) -> dict[str, float]:
-    """Find what turns a slope of each metric into a standardised one."""
-    spread = cells.table[RATING].std()
-    within = [name for name in terms.fixed if name.endswith("_w")]
-    return {name[:-2]: float(cells.table[name].std() / spread) for name in within}
 
 
 def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[pd.DataFrame, list[str]]:
@@ -317,7 +297,7 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[pd.DataFrame, list[s
     term = f"(1 | {REDUCER})"
     if not wanted or term not in terms.random:
         return table, []
-    names, lack = [f"{name}_w" for name in within], _find_lack(cells)
+    names = [f"{name}_w" for name in within]
     random = tuple(one for one in terms.random if one != term)
     fixed = Terms((*terms.fixed, REDUCER), random, ())
     # Out of the metrics, over stimuli, what their recording and their reducer give.
@@ -333,7 +313,7 @@ def _centre_slopes(found: Slopes, *, wanted: bool) -> tuple[pd.DataFrame, list[s
         solved = solve_design(design, most_df=terms.most_df)
     except ValueError as error:
         return table, [f"No slopes centred on reducers: {error}"]
-    rows = [_blank(solved.estimate({name: 1.0}), lack=lack) for name in names]
+    rows = [_blank(solved.estimate({name: 1.0}), lack=found.lack) for name in names]
     return pd.DataFrame(rows, index=within)[list(CENTRED)].rename(columns=CENTRED), []
 
 
@@ -355,7 +335,7 @@ def _explain_items(found: Slopes) -> tuple[float, list[str]]:
     return 1 - add_variances(found.solved) / before, []
 
 
-def _note_limits(found: Slopes, lack: str) -> Iterator[str]:
+def _note_limits(found: Slopes) -> Iterator[str]:
     """Say of what there is little, where that limits degrees of freedom, and which slopes are not estimable."""
     cells, limit = found.cells, found.terms.most_df
     scenes = "sources" if cells.shared else "recordings"
@@ -372,4 +352,4 @@ def _note_limits(found: Slopes, lack: str) -> Iterator[str]:
         yield f"{few}: intervals are widened to at most {limit:g} degrees of freedom."
     for name in found.table.index[~found.table["estimable"]]:
         few = f"with fewer than {FEWEST_DF:g} degrees of freedom"
-        yield f"The slope of {name} is not estimable {lack or few}: it has no test and no interval."
+        yield f"The slope of {name} is not estimable {found.lack or few}: it has no test and no interval."

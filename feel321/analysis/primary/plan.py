@@ -1,8 +1,5 @@
 """The primary model's cells and terms: which the data can carry, and in words which they cannot.
 
-The full model has every spread that the design has. A term goes only where it cannot be told from another, never
-because a test says that it may be zero.
-
 A metric's part within recordings, ``_w``, is its value minus the mean over its recording's items; the part
 between, ``_b``, is that mean. The claim that a metric predicts what is felt is about the part within: between
 recordings, anything that differs with the scene goes along. Means are over the items that the table holds,
@@ -40,9 +37,8 @@ KEYS = (WHO, SCENE, ITEM)
 ALIKE = f"{SOURCE}:{REDUCER}"  # Stimuli of one source that were reduced alike
 LEVEL = "level_db"  # Level of a stimulus less the mean of its recording's: a term of the model, and no hypothesis
 AMPLITUDE = "rms_m_s2"
+# Columns that hold the level of a stimulus, the best first: over threshold, amplitude, from its recording.
 LEVELS = ("sensation_level_db", AMPLITUDE, "level_difference")
-"""Columns that hold the level of a stimulus, the best first: over threshold, amplitude, from its recording."""
-
 LEAST_DB = 0.5  # Levels within recordings that differ by less are alike: nobody feels it
 FLAT = 1e-10  # Share of a metric's size below which its spread is rounding
 DEPENDENT = 1e-8  # Share of a column's spread below which what others leave of it is rounding
@@ -97,6 +93,15 @@ class Cells:
     def rated(self) -> DataFrame:
         """A row per stimulus that was rated, with its metrics split."""
         return self.table.iloc[np.unique(self._codes[ITEM], return_index=True)[1]]
+
+    @cached_property
+    def averages(self) -> tuple[DataFrame, Samples, Samples]:
+        """Stimuli, their metrics within recordings, and their mean ratings, people's levels taken out."""
+        level = self.table.groupby(WHO, observed=True)[RATING].transform("mean")
+        means = (self.table[RATING] - level).groupby(self.table[ITEM], observed=True).mean()
+        items = self.rated.reset_index(drop=True)
+        within = items[[f"{name}_w" for name in self.metrics]].to_numpy(np.float64)
+        return items, within, means.reindex(items[ITEM]).to_numpy(np.float64)
 
     def count(self, *columns: str) -> int:
         """Count the combinations of columns that occur; 0 where there is no such column."""
@@ -178,10 +183,9 @@ def arrange_cells(
         raise ValueError("rows must hold a row per rating, got none")
     groups = ratings.groupby(list(KEYS), observed=True)[RATING]
     sizes = groups.size()
-    unequal, rough = bool(sizes.min() < sizes.max()), False
-    if unequal:
-        units = ([WHO, SCENE], [ITEM], [WHO], [SCENE])
-        rough = sum(len(ratings[keys].drop_duplicates()) for keys in units) > MOST_LEVELS
+    units, unequal = ([WHO, SCENE], [ITEM], [WHO], [SCENE]), bool(sizes.min() < sizes.max())
+    n_levels = sum(len(ratings[keys].drop_duplicates()) for keys in units) if unequal else 0
+    rough = n_levels > MOST_LEVELS
     means, averaged = ratings, rough or bool(sizes.min() == sizes.max() > 1)
     if averaged:
         means = groups.mean().reset_index()
@@ -312,9 +316,7 @@ def _plan_fixed(cells: Cells) -> tuple[list[str], list[str]]:
     return [*within, *keep_independent(between), *level], reductions
 
 
-# Each of the following yields terms, each with the reason why the data cannot carry it, empty where they can.
-
-Planned = Iterator[tuple[str, str]]
+Planned = Iterator[tuple[str, str]]  # Terms, and why the data cannot carry it, empty where they can
 
 
 def _write(group: str, slopes: Sequence[str], bar: str = "||") -> str:

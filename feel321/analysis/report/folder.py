@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from feel321.analysis.figures import save_figure
-from feel321.analysis.page import inline_svg, render_template
+from feel321.analysis.figures import inline_svg, save_figure
 from feel321.analysis.table.columns import DICTIONARY, make_dictionary
+from feel321.analysis.words import render_template
 from feel321.arguments import as_path
 from feel321.files import defuse, make_folder, move_files, temporary_folder
 from feel321.records import Result, to_json_value

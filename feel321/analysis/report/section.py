@@ -20,15 +20,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from feel321.analysis import figures
-from feel321.analysis.page import TEMPLATES, render_words
 from feel321.analysis.table.columns import Step, find_steps
 from feel321.analysis.table.items import Part, Table, find_sources, split_tests
 from feel321.analysis.words import (
     INTERVALS,
+    TEMPLATES,
     format_count,
     format_estimate,
     format_name,
     format_number,
+    render_words,
 )
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from pandas import DataFrame
 
 from feel321.analysis import words
 from feel321.analysis.figures import list_undrawable
-from feel321.analysis.page import render_template, render_words
+from feel321.analysis.mixed.optimum import POOLS
 from feel321.analysis.report import answer
 from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_files, write_folder
 from feel321.analysis.report.section import FIXED, Found, Row, Section, TableForm, make_row
@@ -27,6 +27,7 @@ from feel321.analysis.table.columns import DICTIONARY, make_dictionary
 from feel321.analysis.table.items import Table, find_sources, format_recordings
 from feel321.analysis.table.reading import ROSTER_FILE, Further, find_tables, read_table
 from feel321.analysis.table.schema import ANSWERED, CHOSEN, PAIR, PAIRED, RECAST
+from feel321.analysis.words import render_template, render_words
 from feel321.arguments import as_path, as_seed, follow
 from feel321.records import Result, to_json_value
 from feel321.types import MetricInfo, PathLike, Progress, Rng
@@ -271,13 +272,10 @@ def _compute(
     table: Table, chosen: Choices, *, paper: Paper | None, move: Callable[[int, int], None]
 ) -> Everything:
     """Compute section after section."""
-    import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
-    from threadpoolctl import threadpool_limits
-
     found: dict[Section, Found] = {}
     # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
     # times as long on a busy machine.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with POOLS.limit(limits=1, user_api="blas"):
         for number, section in enumerate(SECTIONS, start=1):
             found[section] = section.compute(table, chosen)
             move(number, len(SECTIONS))

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 from feel321 import __version__
 from feel321.analysis import figures
-from feel321.analysis.page import render_words
 from feel321.analysis.report.folder import PageParts, PageResult
 from feel321.analysis.report.section import Picture
 from feel321.analysis.tradeoff.battery import BATTERY
@@ -31,7 +30,7 @@ from feel321.analysis.tradeoff.judge import (
     list_rows,
 )
 from feel321.analysis.tradeoff.measure import MOUNTED
-from feel321.analysis.words import capitalise, format_count, format_name, join_words
+from feel321.analysis.words import capitalise, format_count, format_name, join_words, render_words
 from feel321.types import METRIC_INFO
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from feel321.analysis.page import render_words
 from feel321.analysis.report.pairs import compute_choices as compute
 from feel321.analysis.resampling import Choices
+from feel321.analysis.words import render_words
 
 Plant = Callable[..., Any]
 
