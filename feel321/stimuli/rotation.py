@@ -201,9 +201,7 @@ def match_rotations(
     inverse = np.linalg.pinv(samples @ samples.T, hermitian=True)
     found = np.empty((len(reduce), 3, len(turns)))
     per_batch = max(2, _SAMPLES_AT_A_TIME // samples.size)
-    kept: dict[
-        int, Samples
-    ] = {}  # outputs that turning the sensor only negates, which scores alike
+    kept: dict[int, Samples] = {}  # outputs that turning the sensor only negates
     for start in range(0, len(turns), per_batch):
         few = turns[start : start + per_batch]
         turned = np.einsum("rij,jn->rin", few, samples)
