@@ -7,6 +7,7 @@ An error is one line on stderr.
 from __future__ import annotations
 
 import errno
+import gc
 import inspect
 import os
 import shutil
@@ -64,6 +65,7 @@ VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
+MOST_NEW = 50_000  # objects before garbage is looked for: among what was imported there is none
 LONGEST = 1000  # letters of a line of an error
 # Switches that every verb has, in any place.
 SWITCHES = {"-q": "quiet", "--quiet": "quiet", "--traceback": "traceback"}
@@ -102,6 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = ["--help" if word == "-h" else word for word in given[:end] if word not in SWITCHES]
     call = Call((*words, *given[end:]), **switches)
     token = CALL.set(call)
+    gc.set_threshold(MOST_NEW)
     try:
         with handle_signals(), warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: warn(str(message))

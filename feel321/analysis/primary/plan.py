@@ -94,6 +94,15 @@ class Cells:
         """A row per stimulus that was rated, with its metrics split."""
         return self.table.iloc[np.unique(self._codes[ITEM], return_index=True)[1]]
 
+    @cached_property
+    def averages(self) -> tuple[DataFrame, Samples, Samples]:
+        """Stimuli, their metrics within recordings, and their mean ratings, people's levels taken out."""
+        level = self.table.groupby(WHO, observed=True)[RATING].transform("mean")
+        means = (self.table[RATING] - level).groupby(self.table[ITEM], observed=True).mean()
+        items = self.rated.reset_index(drop=True)
+        within = items[[f"{name}_w" for name in self.metrics]].to_numpy(np.float64)
+        return items, within, means.reindex(items[ITEM]).to_numpy(np.float64)
+
     def count(self, *columns: str) -> int:
         """Count the combinations of columns that occur; 0 where there is no such column."""
         if not set(columns) <= set(self._codes):

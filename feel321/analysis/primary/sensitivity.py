@@ -33,7 +33,6 @@ from feel321.analysis.primary.plan import (
 from feel321.analysis.primary.plan import LEVEL as COVARIATE
 from feel321.analysis.table.columns import order_reducers
 from feel321.analysis.table.schema import HIGHEST, LOWEST
-from feel321.types import Samples
 
 PREDICTS, OPEN, NOT_ESTIMABLE = "predicts", "open", "not_estimable"  # Verdicts
 SURVIVES, LOST = "survives", "lost"  # What becomes of a verdict with level in the model
@@ -228,25 +227,31 @@ def measure_influence(
             what = "Sources" if cells.shared else "Recordings"
             notes.append(f"{what} were not left out in turn: more than {MOST_UNITS}.")
         units = [*leave_out_units(cells), *((ITEM, name) for name in find_candidates(cells))]
-    before, estimate = _conclude(whole.slopes, others), whole.slopes["estimate"]
     near: Slopes | None = None
     for column, name in units:
         left, reason, fitted = _fit(partial(cells.leave_out, column, name), metrics, near=near)
         near = near or fitted
-        table = left.reindex(whole.slopes.index)[["estimate", "se", "df", "p", *TENTHS]]
-        table = table.join(_conclude(table, others))
-        table["shift"] = (table["estimate"] - estimate) / whole.slopes["se"]
-        known = table["verdict"] != NOT_ESTIMABLE
-        turned = np.sign(table["estimate"]) * np.sign(estimate) < 0
-        other = table["verdict"] != before["verdict"]
-        table["turns"] = known & before["p_holm"].notna() & (other | turned)
-        table["moves"] = table["turns"] | (known & (table["shift"].abs() > MOVED))
-        table["reason"] = "" if left["estimate"].notna().any() else reason
-        table = table.rename_axis("metric").reset_index()
-        found.append(table.assign(kind=STIMULUS if column == ITEM else column, unit=str(name)))
         if column == REDUCER and fitted:
             slopes[name] = fitted
-    table = pd.concat(found, ignore_index=True) if found else pd.DataFrame()
+        left = left.reindex(whole.slopes.index)[["estimate", "se", "df", "p", *TENTHS]]
+        is_known = left["estimate"].notna().any()
+        unit = {"kind": STIMULUS if column == ITEM else column, "unit": str(name)}
+        unit |= {"reason": "" if is_known else reason}
+        p_holm = adjust_holm([*left["p"], *others])
+        found += [
+            {"metric": metric, **row, "p_holm": p, "verdict": conclude(p), **unit}
+            for (metric, row), p in zip(left.to_dict("index").items(), p_holm, strict=False)
+        ]
+    table = pd.DataFrame(found)
+    if found:
+        holm = adjust_holm([*whole.slopes["p"], *others])[: len(whole.slopes)]
+        before = whole.slopes.assign(p_holm=holm).loc[table["metric"]].reset_index()
+        known = table["verdict"] != NOT_ESTIMABLE
+        turned = np.sign(table["estimate"]) * np.sign(before["estimate"]) < 0
+        other = table["verdict"] != before["p_holm"].map(conclude)
+        table["shift"] = (table["estimate"] - before["estimate"]) / before["se"]
+        table["turns"] = known & before["p_holm"].notna() & (other | turned)
+        table["moves"] = table["turns"] | (known & (table["shift"].abs() > MOVED))
     return Influence(table, _find_exceptions(cells, slopes), tuple(notes))
 
 
@@ -256,7 +261,7 @@ def find_candidates(cells: Cells, *, count: int = CANDIDATES) -> list[str]:
     Without stimulus i the slopes of ordinary least squares change by (X'X)^-1 x_i e_i / (1 - h_i), with e_i its
     residual and h_i its leverage (Belsley, Kuh & Welsch 1980, ISBN 0-471-05856-4).
     """
-    items, values, ratings = _average_items(cells)
+    items, values, ratings = cells.averages
     chosen: dict[str, None] = {}
     for groups in ([SCENE], [SCENE, REDUCER]):
         if not set(groups) <= set(items):
@@ -270,23 +275,6 @@ def find_candidates(cells: Cells, *, count: int = CANDIDATES) -> list[str]:
             order = np.argsort(-np.abs(change), kind="stable")[:count]
             chosen |= dict.fromkeys(items[ITEM].iloc[order[np.abs(change[order]) > 0]])
     return list(chosen)
-
-
-def _average_items(cells: Cells) -> tuple[pd.DataFrame, Samples, Samples]:
-    """List stimuli, their metrics within recordings, and their mean ratings, people's levels taken out."""
-    table = cells.table
-    level = table.groupby(WHO, observed=True)[RATING].transform("mean")
-    means = (table[RATING] - level).groupby(table[ITEM], observed=True).mean()
-    items = cells.rated.reset_index(drop=True)
-    within = items[[f"{name}_w" for name in cells.metrics]].to_numpy(np.float64)
-    return items, within, means.reindex(items[ITEM]).to_numpy(np.float64)
-
-
-def _conclude(slopes: pd.DataFrame, others: Sequence[float]) -> pd.DataFrame:
-    """Adjust the slopes' tests for each other and for those of other attributes, and give the verdicts."""
-    p_holm = adjust_holm([*slopes["p"], *others])[: len(slopes)]
-    verdicts = [conclude(p) for p in p_holm]
-    return pd.DataFrame({"p_holm": p_holm, "verdict": verdicts}, index=slopes.index)
 
 
 def _find_exceptions(cells: Cells, slopes: Mapping[Hashable, Slopes]) -> pd.DataFrame:
@@ -311,7 +299,7 @@ def measure_excess(cells: Cells, name: Hashable, others: Slopes) -> tuple[float,
     Satterthwaite. Without the second, four slopes on six reducers named a reducer that had no excess in 53 % of 30
     simulated studies, and the interval held a planted one in 33 %; with it in none, and in 93 %.
     """
-    items, within, ratings = _average_items(cells)
+    items, within, ratings = cells.averages
     left = np.column_stack([take_out(items[[SCENE]], ratings), within])
     table = pd.DataFrame(left).groupby(items[REDUCER].to_numpy()).mean()
     is_own = table.index == name

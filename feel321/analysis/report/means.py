@@ -7,7 +7,7 @@ recording and is made in `feel321.analysis.report.primary`; correlations are bes
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import combinations, product
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -63,11 +63,12 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
         panels.append(panel)
         told.append(_describe_panel(part, panel))
         explored = []
-        for metric, method in product(table.further, (LEADING, RANKED, DRAWN)):
+        for metric in table.further:
             items = make_items(part.rows, [metric])
-            rng = choices.make_rng("further", *part.place, metric, method)
-            (one,) = correlate_items(items, (metric,), method, draws=draws, rng=rng)
-            explored.append(one.associate(metric))
+            for method in (LEADING, RANKED, DRAWN):
+                rng = choices.make_rng("further", *part.place, metric, method)
+                (one,) = correlate_items(items, (metric,), method, draws=draws, rng=rng)
+                explored.append(one.associate(metric))
         found.add("associations", _write_rows(panel.associations), **part.keys)
         found.add("differences", _write_rows(panel.differences), **part.keys)
         found.add("stimuli", panel.stimuli, **part.keys)

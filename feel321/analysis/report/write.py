@@ -16,6 +16,7 @@ from pandas import DataFrame
 
 from feel321.analysis import words
 from feel321.analysis.figures import list_undrawable
+from feel321.analysis.mixed.optimum import POOLS
 from feel321.analysis.report import answer
 from feel321.analysis.report.folder import DETAILS, PAGE, check_target, list_files, write_folder
 from feel321.analysis.report.section import FIXED, Found, Row, Section, TableForm, make_row
@@ -271,13 +272,10 @@ def _compute(
     table: Table, chosen: Choices, *, paper: Paper | None, move: Callable[[int, int], None]
 ) -> Everything:
     """Compute section after section."""
-    import scipy.linalg  # noqa: F401 - brings a second library of linear algebra, whose threads are held too
-    from threadpoolctl import threadpool_limits
-
     found: dict[Section, Found] = {}
     # Matrices here are small: threads of the linear algebra wait for each other most of the time, and take nine
     # times as long on a busy machine.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with POOLS.limit(limits=1, user_api="blas"):
         for number, section in enumerate(SECTIONS, start=1):
             found[section] = section.compute(table, chosen)
             move(number, len(SECTIONS))
