@@ -10,12 +10,11 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, NoReturn, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NoReturn, Self
 
-import numpy as np
+from annotated_types import Interval
 
 from feel321.arguments import Registry, check_name
-from feel321.types import Number
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -38,6 +37,8 @@ class Result:
         return [(field.name, getattr(self, field.name)) for field in fields]
 
     def _list_scalars(self) -> list[tuple[str, Any]]:
+        import numpy as np  # not before it is needed: the command line answers at once
+
         kinds = bool | int | float | str | np.generic
         return [(name, entry) for name, entry in self._list_fields() if isinstance(entry, kinds)]
 
@@ -62,6 +63,8 @@ class Result:
 
     def __repr__(self) -> str:
         """Write numbers, names and flags in one line of at most 200 characters."""
+        import numpy as np
+
         known = [
             (name, f"{value:.4g}" if isinstance(value, float | np.floating) else repr(value))
             for name, value in self._list_scalars()
@@ -164,6 +167,8 @@ def to_json_value(value: object) -> Any:  # noqa: ANN401 - whatever JSON holds
 
 
 def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
+    import numpy as np
+
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     if isinstance(value, Mapping):
@@ -172,6 +177,8 @@ def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
         value = value.to_frame()
     return value.reset_index().to_dict("records") if hasattr(value, "reset_index") else str(value)
 
+
+Number = Annotated[float, Interval(ge=-1e9, le=1e9)]
 
 MEASURES: Mapping[str, str] = Registry(
     "measure",

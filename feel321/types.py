@@ -7,10 +7,9 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol, TypeAlias, get_args
+from typing import Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
-from annotated_types import Interval
 from numpy.typing import NDArray
 
 __all__ = [
@@ -101,5 +100,3 @@ MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")
 WRITTEN = (*MATCHES, "temporal_match_windowed")  # the metrics that `build` writes
 ANCHOR = "anchor"  # the role of anchors in the manifest
 ANCHOR_NAMES = ("anchor_low", "anchor_mid")
-
-Number = Annotated[float, Interval(ge=-1e9, le=1e9)]

@@ -9,8 +9,6 @@ from itertools import chain, groupby, pairwise
 from math import gcd
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
-import numpy as np
-
 from feel321.arguments import Registry, as_rng, check_name, describe
 from feel321.protocols.tasks import PROTOCOLS, count_rows, make_task, williams_row
 from feel321.protocols.trial import RATING_RANGE, Comparison, Item, Task, Trial, Trials
@@ -130,6 +128,8 @@ def _order_blocked(rounds: Sequence[Groups], *, number: int, rng: Generator) -> 
 
 
 def _spawn_participant(rng: Generator, number: int) -> Generator:
+    import numpy as np
+
     return np.random.default_rng([int(rng.integers(2**63)), number])
 
 
@@ -320,6 +320,8 @@ def select_share(
 
     All are given equally often, or once more: dealt out like cards, those of a round's last hand come last in the next.
     """
+    import numpy as np
+
     recordings = list(dict.fromkeys(item.recording for item in items))
     if count is None or count >= len(recordings):
         return tuple(items)
