@@ -231,15 +231,13 @@ class Study(OpenStudy):
             )
             return replace(found, path=found.write(target).parent)
 
-    def calibrate(
-        self, *, device: options.Name = None, manual: options.Gains = (), redesign: bool = False
-    ) -> Outcome:
+    def calibrate(self, *, device: options.Name = None, manual: options.Gains = ()) -> Outcome:
         """Measure the coils of the rig and make filters for them.
 
         Plays sweeps on one coil after another, recorded by the sensor of rig.toml; proposes the band and the gain of
         each filter, says what that costs in level, and asks; verifies the filters by playing through them, and stores a
-        certificate, of which run uses the newest that is valid. Ctrl-C stops; coils that are done are kept. The exit
-        code is 1 if the limits of [calibration] in rig.toml are not met; run does not use such a certificate.
+        certificate, of which run uses the newest that is valid. Ctrl-C stops. The exit code is 1 if the limits of
+        [calibration] in rig.toml are not met; run does not use such a certificate.
 
         Example: feel321 calibrate my-study
 
@@ -249,12 +247,10 @@ class Study(OpenStudy):
             Device instead of the rig's: its name, or a unique part of it.
         manual : sequence of str
             Gain of an actuator in m/s² at full scale, instead of measuring; once for each.
-        redesign : bool
-            Design the filters anew from the stored sweeps, without playing.
         """
         from feel321.study.actuator.calibrate import calibrate_rig
 
-        return calibrate_rig(self, device=device, manual=manual, redesign=redesign)
+        return calibrate_rig(self, device=device, manual=manual)
 
     def doctor(self, *, device: options.Name = None, seconds: options.Seconds = 5.0) -> Outcome:
         """Test the rig: list devices, measure latency and jitter, try each coil.

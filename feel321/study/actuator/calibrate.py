@@ -1,27 +1,21 @@
 """Calibration of a rig: sweeps on each coil, through the output that sessions use, recorded by its sensor.
 
-What a quiet sweep shows decides how strong the next ones may be; the strongest one is the measurement. It is stored
-coil by coil; from it the filters are designed, as often as one likes, and verified by playing through them.
+What a quiet sweep shows decides how strong the next ones may be; the strongest one is the measurement. From it the
+filters are designed, and verified by playing through them.
 """
 
-import hashlib
-import io
 import math
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, fields, replace
-from datetime import datetime, timedelta
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from datetime import datetime
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy import fft
 
 from feel321.arguments import follow
-from feel321.files import make_folder, write_bytes
 from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.study.actuator import certificate as certificates
 from feel321.study.actuator import response
@@ -45,7 +39,6 @@ STEP_HZ = 0.5  # of the frequencies in a certificate
 MOST_GAIN_DB = 50.0  # of a filter that is proposed; beyond, the band is narrowed
 LEAST_BAND = 0.8  # of the octaves that were asked, for a coil to pass
 SPARE_DB = 1.0  # by which a proposed gain exceeds what the response asks for
-KEPT = timedelta(days=1)  # for so long a coil need not be measured again
 Coils = Mapping[str, CoilCertificate]
 
 
@@ -71,10 +64,9 @@ class CoilRun(Response):
     linearity_db: Samples
     repeats_db: float
     noise_m_s2: float
-    made: str
 
 
-def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, made: str) -> CoilRun:
+def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float) -> CoilRun:
     """Play sweeps of rising level on one coil."""
     rig, rate_hz, levels = bench.rig, bench.rate_hz, (*LADDER, 1.0)
     level = rig.calibration.level * rigs.find_allowed(rig, actuator)
@@ -108,7 +100,6 @@ def measure_coil(bench: Bench, actuator: ActuatorTable, *, noise_m_s2: float, ma
         linearity_db=np.array(linearity_db),
         repeats_db=float(np.median(repeated_db.std(axis=0, ddof=1))),
         noise_m_s2=noise_m_s2,
-        made=made,
     )
 
 
@@ -303,116 +294,45 @@ def find_failures(rig: Rig, coil: CoilCertificate) -> Iterator[str]:
     yield from (f"coil {coil.name!r} {told}" for told, is_broken in broken.items() if is_broken)
 
 
-def name_run(folder: Path, rig: Rig, actuator: ActuatorTable) -> Path:
-    """Name the file of a coil's measurements: another rig, or another scale of the sensor, has others."""
-    scale = rig.sensor.model_dump_json() if rig.sensor else ""
-    sensor = hashlib.sha256(scale.encode()).hexdigest()
-    name = f"{rigs.digest(rig)[:12]}-{sensor[:8]}-{actuator.channel}.npz"
-    return folder / FOLDER / "sweeps" / name
+def calibrate(
+    rig: Rig,
+    *,
+    rate_hz: float,
+    made: datetime,
+    agree: Callable[[Certificate], bool] = lambda _: True,
+    on_step: OnStep = lambda _done, _total: None,
+) -> Certificate:
+    """Measure the coils of a rig, make their filters, and verify them by playing through them.
 
+    agree: shows what is proposed, and asks for consent.
+    """
 
-def read_run(path: Path) -> CoilRun | None:
-    """Read what was measured of a coil; None where nothing there can be used."""
-    broken = (OSError, TypeError, EOFError, KeyError, RuntimeError, ValueError)
-    with suppress(*broken, zipfile.BadZipFile, zlib.error):
-        with np.load(path, allow_pickle=False) as stored:
-            known = {name: one if one.ndim else one.item() for name, one in stored.items()}
-        datetime.fromisoformat(known["made"])
-        return CoilRun(**known | {"band_hz": tuple(known["band_hz"])})
-    return None
-
-
-@dataclass(slots=True, kw_only=True)
-class Calibration:
-    """A calibration of a study's rig; agree: shows what is proposed, and asks for consent."""
-
-    rig: Rig
-    rate_hz: float
-    made: datetime
-    folder: Path
-    agree: Callable[[Certificate], bool] = lambda _: True
-    on_step: OnStep = lambda _done, _total: None
-
-    def run(self) -> Certificate:
-        """Measure the coils, make their filters, and verify them by playing through them."""
-        rig, rate_hz, runs = self.rig, self.rate_hz, self.find_runs(within=KEPT)
-        rigs.require_sensor(rig)
-        main, quiet = make_sweeps(rig, rate_hz=rate_hz, peak=1.0)
-        n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
-        n_coils, n_silent = len(rig.actuators), round(SILENCE_S * rate_hz)
-        n_all = n_coils * (n_main + n_quiet) + n_silent
-        n_all += (n_coils - len(runs)) * (n_main + (1 + len(LADDER)) * n_quiet)
-        show = {"total_s": n_all / rate_hz, "on_step": self.on_step}
-        n_longest = max(n_main, n_coils * n_quiet)
-        with open_bench(rig, rate_hz=rate_hz, n_longest=n_longest, **show) as bench:
-            noise_m_s2 = float(np.linalg.norm(bench.play({}, n=n_silent).std(axis=1)))
-            made = self.made.isoformat()
-            for actuator in (one for one in rig.actuators if one.name not in runs):
-                with _named(actuator.name):
-                    run = measure_coil(bench, actuator, noise_m_s2=noise_m_s2, made=made)
-                path, buffer = name_run(self.folder, rig, actuator), io.BytesIO()
-                known: dict[str, Any] = {one.name: getattr(run, one.name) for one in fields(run)}
-                np.savez_compressed(buffer, allow_pickle=False, **known)
-                make_folder(path.parent)
-                write_bytes(path, buffer.getvalue())
-                runs[actuator.name] = run
-            coils = self.design(runs)
-            for name, coil in coils.items():
-                with _named(name):
-                    coils[name] = verify_coil(bench, coil, runs[name])
-            coils = measure_latencies(bench, coils)
-        return self._certify(coils)
-
-    def redesign(self) -> Certificate:
-        """Make the filters anew from the stored sweeps, by today's `[calibration]`; nothing is played."""
-        runs = self.find_runs()
-        if missing := [one.name for one in self.rig.actuators if one.name not in runs]:
-            raise ValueError(
-                f"no sweeps of {', '.join(map(repr, missing))} on this rig are stored; run feel321 calibrate"
-            )
-        coils, last = self.design(runs), self._find_last()
-        known = None if last is None else certificates.read_certificate(last)
-        if known is not None and known.method == MEASURED:  # where all were in one recording
-            for name, coil in coils.items():
-                coils[name] = replace(coil, latency=known.coils[name].latency)
-        # It is as old as the oldest sweep.
-        oldest = min(datetime.fromisoformat(run.made) for run in runs.values())
-        expires = oldest + timedelta(days=self.rig.calibration.valid_days)
-        return replace(self._certify(coils), expires_utc=expires.isoformat(timespec="seconds"))
-
-    def _find_last(self) -> Path | None:
-        return max((self.folder / FOLDER).glob(f"*-{rigs.digest(self.rig)[:8]}.json"), default=None)
-
-    def find_runs(self, *, within: timedelta | None = None) -> dict[str, CoilRun]:
-        """Find what was measured of the coils on this rig; within: so recently, and since its last certificate."""
-        last, runs = self._find_last(), dict[str, CoilRun]()
-        for actuator in self.rig.actuators:
-            run = read_run(name_run(self.folder, self.rig, actuator))
-            band_hz = self.rig.calibration.band_hz
-            if run is None or (run.rate_hz, run.band_hz) != (self.rate_hz, band_hz):
-                continue
-            made = datetime.fromisoformat(run.made)
-            is_open = last is None or f"{made:%Y%m%dT%H%M%SZ}" > last.name
-            if within is None or (is_open and self.made - made < within):
-                runs[actuator.name] = run
-        return runs
-
-    def design(self, runs: Mapping[str, CoilRun]) -> dict[str, CoilCertificate]:
-        """Make the filters of all coils, and let them be agreed to."""
-        coils = {}
-        for actuator in self.rig.actuators:
-            with _named(actuator.name):
-                coils[actuator.name] = design_coil(self.rig, actuator, runs[actuator.name])
-        if not self.agree(self._certify(coils)):
-            raise KeyboardInterrupt
-        return coils
-
-    def _certify(self, coils: Coils) -> Certificate:
-        found = certificates.begin_certificate(
-            self.rig, coils, method=MEASURED, made=self.made, rate_hz=self.rate_hz
-        )
-        failures = (line for coil in coils.values() for line in find_failures(self.rig, coil))
+    def certify(coils: Coils) -> Certificate:
+        own: dict[str, Any] = {"method": MEASURED, "made": made, "rate_hz": rate_hz}
+        failures = (line for coil in coils.values() for line in find_failures(rig, coil))
+        found = certificates.begin_certificate(rig, coils, **own)
         return replace(found, failures=tuple(failures))
+
+    rigs.require_sensor(rig)
+    main, quiet = make_sweeps(rig, rate_hz=rate_hz, peak=1.0)
+    n_main, n_quiet = main.period * main.n_repeats, quiet.period * quiet.n_repeats
+    n_coils, n_silent = len(rig.actuators), round(SILENCE_S * rate_hz)
+    n_all = n_coils * (2 * n_main + (2 + len(LADDER)) * n_quiet) + n_silent
+    show: dict[str, Any] = {"total_s": n_all / rate_hz, "on_step": on_step}
+    n_longest = max(n_main, n_coils * n_quiet)
+    with open_bench(rig, rate_hz=rate_hz, n_longest=n_longest, **show) as bench:
+        noise_m_s2 = float(np.linalg.norm(bench.play({}, n=n_silent).std(axis=1)))
+        runs, coils = dict[str, CoilRun](), dict[str, CoilCertificate]()
+        for one in rig.actuators:
+            with _named(one.name):
+                runs[one.name] = measure_coil(bench, one, noise_m_s2=noise_m_s2)
+                coils[one.name] = design_coil(rig, one, runs[one.name])
+        if not agree(certify(coils)):
+            raise KeyboardInterrupt
+        for name, coil in coils.items():
+            with _named(name):
+                coils[name] = verify_coil(bench, coil, runs[name])
+        return certify(measure_latencies(bench, coils))
 
 
 @contextmanager
@@ -421,7 +341,7 @@ def _named(coil: str) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise ValueError(f"coil {coil!r}: {error}; the coils before it are kept") from None
+        raise ValueError(f"coil {coil!r}: {error}") from None
 
 
 # The verb.
@@ -430,21 +350,24 @@ ARRAYS = {"frequency_hz", "response", "coherence", "distortion", "equalised", "f
 """Fields of a coil's certificate that are too long to print."""
 
 
-def calibrate_rig(
-    lab: OpenStudy, *, device: str | None, manual: Sequence[str], redesign: bool
-) -> Outcome:
+def calibrate_rig(lab: OpenStudy, *, device: str | None, manual: Sequence[str]) -> Outcome:
     """Measure the coils, or take typed gains, and store a certificate."""
     folder = lab.folder
     rig, own = rigs.read_rig(folder.rig), folder.settings
     rate_hz = read_settings(own).rig.rate_hz if own.is_file() else rigs.RATE_HZ
     rig = rigs.take_device(rig, device) if device else rig
+    when: dict[str, Any] = {"made": lab.now(), "rate_hz": rate_hz}
     if manual:
-        typed, directions = dict(map(_read_gain, manual)), find_directions(rig)[0]
-        made = certificates.make_manual(
-            rig, typed, directions=directions, made=lab.now(), rate_hz=rate_hz
+        typed, (directions, _) = dict(map(_read_gain, manual)), find_directions(rig)
+        made = certificates.make_manual(rig, typed, directions=directions, **when)
+    elif rig.device.name == rigs.FILE_DEVICE:
+        raise ValueError(
+            'rig.toml plays to files, which no sensor measures; name a device there or with --device ("simulated" '
+            "needs no hardware), or type gains with --manual"
         )
     else:
-        made = _measure(lab, rig, rate_hz=rate_hz, redesign=redesign)
+        with follow(lab.progress, "s of sweeps") as step:
+            made = calibrate(rig, agree=partial(agree, folder, rig), on_step=step, **when)
     certificate = certificates.write_certificate(made, folder.path)
     certificates.draw_certificate(certificate, folder.path / FOLDER / certificate.id)
     passed = not certificate.failures
@@ -454,10 +377,8 @@ def calibrate_rig(
             del coil[name]
     for failure in certificate.failures:
         lab.say(failure)
-    verdict = (
-        f"{'passed' if passed else 'did not pass'}; valid until {certificate.expires_utc[:10]}"
-    )
-    line = f"certificate {certificate.id} ({certificate.method}): {verdict}"
+    verdict, until = "passed" if passed else "did not pass", certificate.expires_utc[:10]
+    line = f"certificate {certificate.id} ({certificate.method}): {verdict}; valid until {until}"
     return Outcome(facts, [line, *format_facts(facts["coils"])], failed=not passed)
 
 
@@ -468,24 +389,6 @@ def _read_gain(text: str) -> tuple[str, float]:
     except ValueError:
         example = "'left coil=12.5'"
         raise UsageError(f"--manual must be NAME=GAIN, such as {example}, got {text!r}") from None
-
-
-def _measure(lab: OpenStudy, rig: Rig, *, rate_hz: float, redesign: bool) -> Certificate:
-    consent = partial(agree, lab.folder, rig)
-    own = Calibration(
-        rig=rig, rate_hz=rate_hz, made=lab.now(), folder=lab.folder.path, agree=consent
-    )
-    if redesign:
-        return own.redesign()
-    if rig.device.name == rigs.FILE_DEVICE:
-        raise ValueError(
-            'rig.toml plays to files, which no sensor measures; name a device there or with --device ("simulated" '
-            "needs no hardware), or type gains with --manual"
-        )
-    if kept := own.find_runs(within=KEPT):
-        echo(f"kept, as they were measured a while ago: {', '.join(kept)}", err=True)
-    with follow(lab.progress, "s of sweeps") as own.on_step:
-        return own.run()
 
 
 def agree(folder: StudyFolder, rig: Rig, proposed: Certificate) -> bool:
@@ -502,14 +405,14 @@ def agree(folder: StudyFolder, rig: Rig, proposed: Certificate) -> bool:
         echo(line, err=True)
     if not is_answerable():
         return True
-    asked = "Enter takes it; n stops: --redesign tries another max_gain_db of [calibration]."
+    asked = "Enter takes it; n stops, to calibrate again with another max_gain_db of [calibration]."
     return not ask(asked).startswith("n")
 
 
 def _find_cost(folder: StudyFolder, rig: Rig, proposed: Certificate) -> Iterator[str]:
     """Say how much of full scale the study's stimuli take through the filters, and how weak the weakest then is."""
     if not (folder.stimuli.is_dir() and folder.settings.is_file()):
-        yield "the study has no stimuli yet; build them, and calibrate --redesign says how strong they come"
+        yield "the study has no stimuli yet; once they are built, feel321 check says which are too strong"
         return
     stimuli, settings = read_stimuli(folder.stimuli), read_settings(folder.settings)
     _, sounds = find_rig_problems(rig, stimuli, settings, certificate=proposed)

@@ -98,9 +98,9 @@ class CoilCertificate:
     direction: Real
     frequency_hz: Real
     response: Complex
-    coherence: Real
-    distortion: Real
-    equalised: Complex
+    coherence: Real = field(default_factory=lambda: np.full(2, np.nan))
+    distortion: Real = field(default_factory=lambda: np.full(2, np.nan))
+    equalised: Complex = field(default_factory=lambda: np.full(2, np.nan, dtype=np.complex128))
     fir: Real = field(default_factory=lambda: np.ones(1))
     levels: Real = field(default_factory=lambda: np.zeros(0))
     linearity_db: Real = field(default_factory=lambda: np.zeros(0))
@@ -227,34 +227,29 @@ def make_manual(
     rate_hz: float,
 ) -> Certificate:
     """Make a certificate of typed gains, in m/s² per full scale by actuator: no filter, nothing measured."""
-    names = [actuator.name for actuator in rig.actuators]
+    names, db = [actuator.name for actuator in rig.actuators], rig.calibration.gain_uncertainty_db
     if wrong := [name for name in (*names, *gains) if (name in gains) != (name in names)]:
         raise ValueError(
             f"manual gains must name each actuator once ({', '.join(map(repr, names))}), not so: "
             f"{', '.join(map(repr, wrong))}"
         )
-    for name, gain in gains.items():
-        if not 0 < gain < math.inf:
-            must = "must be positive m/s² per full scale"
-            raise ValueError(f"gain of {name!r} {must}, got {gain:g}")
-    unknown, db = np.full(2, np.nan), rig.calibration.gain_uncertainty_db
+    if odd := [name for name, gain in gains.items() if not 0 < gain < math.inf]:
+        must = "must be positive m/s² per full scale"
+        raise ValueError(f"gain of {odd[0]!r} {must}, got {gains[odd[0]]:g}")
     coils = {
-        actuator.name: CoilCertificate(
-            name=actuator.name,
-            channel=actuator.channel,
-            full_scale_m_s2=gains[actuator.name],
-            target=gains[actuator.name],
+        one.name: CoilCertificate(
+            name=one.name,
+            channel=one.channel,
+            full_scale_m_s2=gains[one.name],
+            target=gains[one.name],
             latency=0,
             uncertainty_db=db,
             budget={"typed gain": db},
-            direction=directions.get(actuator.name, np.eye(len(AXES))[0]),
+            direction=directions.get(one.name, np.eye(len(AXES))[0]),
             frequency_hz=np.array(rig.calibration.band_hz),
-            response=np.full(2, gains[actuator.name], dtype=np.complex128),
-            coherence=unknown,
-            distortion=unknown,
-            equalised=unknown.astype(np.complex128),
+            response=np.full(2, gains[one.name], dtype=np.complex128),
         )
-        for actuator in rig.actuators
+        for one in rig.actuators
     }
     return begin_certificate(rig, coils, method=MANUAL, made=made, rate_hz=rate_hz)
 

@@ -72,10 +72,8 @@ def examine_rig(
             lags_ms += [] if lag is None else [1e3 * lag / rate_hz]
         identity = output.identity
     late_ms = [1e3 * (one.onset_s - one.requested_s) for one in played if one.onset_s is not None]
-    return {
-        "device": identity["device"],
-        "host_api": identity["host_api"],
-        "is_program": bool(identity["is_program"]),
+    named = {name: identity[name] for name in ("device", "host_api", "is_program")}
+    return named | {
         "rate_hz": rate_hz,
         "latency_ms": 1e3 * played[-1].measured.get("latency_s", math.nan),
         "n_pulses": len(played),
@@ -197,9 +195,8 @@ def find_fault(
     rig: Rig, actuator: ActuatorTable, seen: Response | None, *, recorded: Samples, sent: Samples
 ) -> str:
     """Name what is wrong with a coil that has no certificate, by what its probe moved."""
-    fault = faults.find_sensor_fault(
-        recorded, full_scale_m_s2=rigs.require_sensor(rig).full_scale_m_s2
-    )
+    full_scale_m_s2 = rigs.require_sensor(rig).full_scale_m_s2
+    fault = faults.find_sensor_fault(recorded, full_scale_m_s2=full_scale_m_s2)
     if fault or seen is None:
         return fault
     probe = _describe(seen)

@@ -232,9 +232,8 @@ class Scene:
         jacobian = np.asarray(found.jac)
         spread = np.linalg.pinv(jacobian.T @ jacobian) * 2 * found.cost / len(self._at_hz)
         x, shaped = np.array([*found.x, 0.0, 0.0]), reshape(found.x)
-        rest = (
-            actual - self._follow(actual, shaped, np.empty((0, len(asked)), dtype=np.complex128))[0]
-        )
+        no_lines = np.empty((0, len(asked)), dtype=np.complex128)
+        rest = actual - self._follow(actual, shaped, no_lines)[0]
         return Fit(
             name=" and ".join(coil.name for coil in self.groups[place]),
             asked=shaped,

@@ -71,10 +71,8 @@ def _add_page(sheet: Sheet, view: View, page: Page, *, texts: ScreenTexts) -> No
     paragraphs = words.replace("{total}", str(view.place.total)).strip().splitlines()
     heading = sheet.wrap(text["title"], column.width, ui.TITLE, bold=True)
     for size in TEXT_SIZES:
-        gap, blocks = (
-            0.73 * size * sheet.unit,
-            [sheet.wrap(p, column.width, size) for p in paragraphs],
-        )
+        gap = 0.73 * size * sheet.unit
+        blocks = [sheet.wrap(paragraph, column.width, size) for paragraph in paragraphs]
         heights = [sheet.find_height(len(block), size) for block in blocks]
         heights.insert(0, sheet.find_height(len(heading), ui.TITLE))
         height = sum(heights) + gap * len(blocks)
@@ -412,9 +410,8 @@ class _TrialLayout:
                 sheet.fill(line._replace(left=line.left - 0.8 * unit, width=0.8 * unit), ui.BLUE)
             self.add_track(track, value, is_ready=view.can_rate(name), color=color)
             if value is not None:
-                beside = line._replace(
-                    left=track.right + 3 * unit, width=line.right - track.right - 4 * unit
-                )
+                room = line.right - track.right - 4 * unit
+                beside = line._replace(left=track.right + 3 * unit, width=room)
                 sheet.write(beside, f"{value:.0f}", ui.BODY, bold=True, align="right")
             if view.can_rate(name):
                 target = line._replace(left=track.left - 2 * unit, width=track.width + 4 * unit)

@@ -268,25 +268,23 @@ class Sheet:
         strip, unit = self.find_strip("buttons"), self.unit
         for at, buttons in enumerate((left, right)):
             words = [split_key(button.text) for button in buttons]
-            sizes = [self.measure(action, SMALL, bold=True) for _, action in words]
-            widths = [
-                own + self.measure(key, SMALL) + 6.5 * unit
-                for own, (key, _) in zip(sizes, words, strict=True)
-            ]
+            actions = [self.measure(action, SMALL, bold=True) for _, action in words]
+            keys = [self.measure(key, SMALL) for key, _ in words]
+            widths = [own + other + 6.5 * unit for own, other in zip(actions, keys, strict=True)]
             boxes = self.line_up(widths, 2 * unit, strip, at=at)
+            sizes = zip(actions, keys, strict=True)
             for button, box, (key, action), own in zip(buttons, boxes, words, sizes, strict=True):
                 is_blue = button.is_main and button.is_ready
                 fill, line = (BLUE, "") if is_blue else (PANEL, LINE)
                 self.fill(box, fill, line=line, round_px=1.2 * unit, line_px=0.25 * unit)
                 if button.share:
-                    self.fill(
-                        box._replace(width=box.width * button.share), LINE, round_px=1.2 * unit
-                    )
+                    gone = box._replace(width=box.width * button.share)
+                    self.fill(gone, LINE, round_px=1.2 * unit)
                 is_dim = not (button.is_ready or button.share)
-                place = box._replace(left=box.left + 2.5 * unit, width=own)
+                place = box._replace(left=box.left + 2.5 * unit, width=own[0])
                 color = GROUND if is_blue else DIM if is_dim else INK
                 self.write(place, action, SMALL, color=color, bold=True)
-                place = box._replace(left=place.right + 1.5 * unit, width=self.measure(key, SMALL))
+                place = box._replace(left=place.right + 1.5 * unit, width=own[1])
                 color = GROUND if is_blue else INK if button.share else DIM
                 self.write(place, key, SMALL, color=color)
                 if button.is_ready or button.explains:

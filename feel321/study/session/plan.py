@@ -14,7 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from annotated_types import Interval
 
@@ -46,7 +46,6 @@ PLAN_FILE = "plan.json"
 TOMBSTONE_FILE = "withdrawn.json"
 
 Policy = Literal["warm_up", "continue", "restart"]
-POLICIES: tuple[Policy, ...] = get_args(Policy)
 """Ways to resume a session after a long break: practice first, go on at once, or begin anew beside it."""
 
 _BEGIN = f'{{\n "format": {FORMAT},'.encode()

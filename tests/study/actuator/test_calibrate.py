@@ -2,8 +2,8 @@
 
 import json
 import math
-from dataclasses import asdict, replace
-from datetime import UTC, datetime, timedelta
+from dataclasses import replace
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +15,7 @@ import pytest
 from feel321.study.actuator import calibrate as module
 from feel321.study.actuator import doctor
 from feel321.study.actuator import output as output_module
-from feel321.study.actuator.calibrate import Calibration, find_failures, propose_band
+from feel321.study.actuator.calibrate import agree, find_failures, propose_band
 from feel321.study.actuator.certificate import (
     Certificate,
     draw_certificate,
@@ -83,16 +83,15 @@ def rig(tmp_path: Path) -> Rig:
     return read_rig(tmp_path / "rig.toml")
 
 
-def calibrate(rig: Rig, folder: Path, **choices: Any) -> Certificate:
-    own = {"made": MADE, **choices}
-    return Calibration(rig=rig, rate_hz=RATE_HZ, folder=folder, **own).run()
+def calibrate(rig: Rig, **choices: Any) -> Certificate:
+    return module.calibrate(rig, rate_hz=RATE_HZ, **{"made": MADE, **choices})
 
 
 @pytest.fixture(scope="module")
 def certificate(tmp_path_factory: pytest.TempPathFactory) -> Certificate:
     path = tmp_path_factory.mktemp("rig") / "rig.toml"
     path.write_text(RIG, encoding="utf-8")
-    return calibrate(read_rig(path), path.parent)
+    return calibrate(read_rig(path))
 
 
 def plant(rig: Rig, number: int = 0, **changes: Any) -> Rig:
@@ -138,9 +137,7 @@ def test_the_filters_make_the_coils_flat_and_that_is_verified(certificate: Certi
         assert np.abs(size_db).max() < 1
 
 
-def test_no_sweep_passes_limits_or_sensor(
-    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_sweep_passes_limits_or_sensor(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """A coil that resonates by 18 dB is driven so much less; what it does is taken from the simulated hardware."""
     highest: list[float] = []
     before = Hardware.sense
@@ -151,7 +148,7 @@ def test_no_sweep_passes_limits_or_sensor(
         return sensed
 
     monkeypatch.setattr(Hardware, "sense", watch)
-    found = calibrate(alter(rig, "limits", peak_m_s2=20.0, rms_m_s2=20.0), tmp_path)
+    found = calibrate(alter(rig, "limits", peak_m_s2=20.0, rms_m_s2=20.0))
     assert 15 < max(highest) < 20.2
     assert found.coils["left coil"].levels[-1] < 0.1
 
@@ -168,14 +165,14 @@ def test_no_sweep_passes_limits_or_sensor(
         (lambda rig: rig.model_copy(update={"sensor": None}), "has no \\[sensor\\], which calibrate needs"),
     ],
 )  # fmt: skip
-def test_faults_are_named(rig: Rig, tmp_path: Path, change: Any, reason: str) -> None:
+def test_faults_are_named(rig: Rig, change: Any, reason: str) -> None:
     with pytest.raises(ValueError, match=reason) as refusal:
-        calibrate(change(rig), tmp_path)
+        calibrate(change(rig))
     assert "\n" not in str(refusal.value)
 
 
 def test_a_calibration_that_is_stopped_is_silent_within_a_block(
-    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By what reaches the coils, in real time: Ctrl-C in the midst of the first sweep."""
     sent: list[float] = []
@@ -195,12 +192,11 @@ def test_a_calibration_that_is_stopped_is_silent_within_a_block(
     monkeypatch.setattr(Hardware, "sense", watch)
     monkeypatch.setattr(output_module, "sleep", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        calibrate(alter(rig, "simulation", speed=1.0), tmp_path)
+        calibrate(alter(rig, "simulation", speed=1.0))
     n_sent = len(sent)
     wait(0.3)
     assert len(sent) == n_sent  # the device is closed
     assert n_sent - stopped[0] <= 1
-    assert list_certificates(tmp_path) == []
 
 
 def test_limits_that_are_not_kept_are_named(rig: Rig, certificate: Certificate) -> None:
@@ -235,24 +231,6 @@ def test_advice_to_raise_the_latency_names_the_pause_that_it_may_exceed(
     assert ("pause_s under [calibration]" in advice) is names_both
 
 
-def test_a_certificate_that_was_designed_anew_is_as_old_as_its_oldest_sweep(
-    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    assert rig.simulation is not None
-    sweep = Sweep(rate_hz=RATE_HZ, duration_s=1.0, pause_s=0.4, n_repeats=2)
-    coil = SimulatedCoil(
-        rig.simulation.coils[0], rate_hz=RATE_HZ, rng=np.random.default_rng(1)
-    ).process(make_sweep(sweep))
-    own = {"levels": np.ones(2), "linearity_db": np.zeros(2), "repeats_db": 0.0, "noise_m_s2": 0.1}
-    made = {"left coil": MADE - timedelta(days=20), "right coil": MADE - timedelta(days=3)}
-    found = asdict(measure_sweep(sweep, coil))
-    runs = {k: module.CoilRun(**found, **own, made=one.isoformat()) for k, one in made.items()}
-    monkeypatch.setattr(Calibration, "find_runs", lambda _: runs)
-    again = Calibration(rig=rig, rate_hz=RATE_HZ, made=MADE, folder=tmp_path).redesign()
-    assert again.made_utc == MADE.isoformat()
-    assert again.expires_utc == (MADE + timedelta(days=90 - 20)).isoformat()
-
-
 def call(study: Path, *arguments: str) -> int:
     return main(["calibrate", str(study), *arguments])
 
@@ -262,7 +240,7 @@ def test_the_verb_stores_a_certificate_and_its_figure(
     certificate: Certificate,
 ) -> None:  # fmt: skip
     (tmp_path / "study.toml").write_text(STUDY, encoding="utf-8")
-    monkeypatch.setattr(Calibration, "run", lambda _: certificate)
+    monkeypatch.setattr(module, "calibrate", lambda *_, **__: certificate)
     assert call(tmp_path) == 0
     first, left, *_ = capsys.readouterr().out.splitlines()
     assert first.startswith(f"certificate {certificate.id} (measured): passed; valid until ")
@@ -273,7 +251,7 @@ def test_the_verb_stores_a_certificate_and_its_figure(
     assert found is not None
     assert found.id == certificate.id
     failed = replace(certificate, id="20990101T000000Z-f", failures=("coil 'x' distorts",))
-    monkeypatch.setattr(Calibration, "run", lambda _: failed)
+    monkeypatch.setattr(module, "calibrate", lambda *_, **__: failed)
     assert call(tmp_path, "--json") == 1
     printed = capsys.readouterr()
     assert json.loads(printed.out)["coils"]["left coil"]["latency"] == BLOCK_FRAMES + 107
@@ -359,40 +337,17 @@ def test_doctor_uses_the_certificate_that_run_would(
     assert "certificate 29990101 expired on 2026-03-02" in capsys.readouterr().err
 
 
-def test_coils_that_are_done_are_kept_and_designed_anew_without_playing(
-    rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with pytest.raises(ValueError, match=r"coil 'right coil': got no motion.*before it are kept"):
-        calibrate(plant(rig, 1, full_scale_m_s2=1e-6), tmp_path)
-    measured: list[str] = []
-    before = module.measure_coil
-
-    def measure(bench: Any, actuator: Any, **choices: Any) -> Any:
-        measured.append(actuator.name)
-        return before(bench, actuator, **choices)
-
-    monkeypatch.setattr(module, "measure_coil", measure)
-    found = calibrate(rig, tmp_path)
-    assert measured == ["right coil"]
-    written = write_certificate(found, tmp_path)
+def test_a_coil_that_fails_is_named_and_who_does_not_agree_gets_no_certificate(rig: Rig) -> None:
+    with pytest.raises(ValueError, match=r"^coil 'right coil': got no motion"):
+        calibrate(plant(rig, 1, full_scale_m_s2=1e-6))
     asked: list[Certificate] = []
     other = alter(rig, "calibration", max_gain_db=20.0)
-    monkeypatch.setattr(module, "open_bench", None)  # nothing is played
-    again = Calibration(
-        rig=other, rate_hz=RATE_HZ, made=MADE, folder=tmp_path, agree=lambda one: not asked.append(one)
-    ).redesign()  # fmt: skip
-    assert asked[0].coils.keys() == again.coils.keys()
-    for name, coil in again.coils.items():
-        assert coil.gain_db <= 20.01
-        assert coil.latency == written.coils[name].latency
-        assert math.isnan(coil.least_coherence_after)
-    assert "dB off at 20 Hz with its filter" in again.failures[0]  # with so little gain
     with pytest.raises(KeyboardInterrupt):
-        Calibration(
-            rig=rig, rate_hz=RATE_HZ, made=MADE, folder=tmp_path, agree=lambda _: False
-        ).redesign()
-    with pytest.raises(ValueError, match="no sweeps of 'left coil', 'right coil'"):
-        Calibration(rig=rig, rate_hz=RATE_HZ, made=MADE, folder=tmp_path / "other").redesign()
+        calibrate(other, agree=asked.append)
+    for coil in asked[0].coils.values():
+        assert coil.gain_db <= 20.01
+        assert math.isnan(coil.least_coherence_after)
+    assert "dB off at 20 Hz with its filter" in asked[0].failures[0]  # with so little gain
 
 
 @pytest.mark.parametrize(
@@ -422,8 +377,6 @@ def test_gain_and_band_that_are_proposed_flatten_ordinary_coils(
 def test_what_is_proposed_and_what_it_costs_is_said_before_it_is_written(
     rig: Rig, certificate: Certificate, smallest: Any, capsys: Any
 ) -> None:
-    from feel321.study.actuator.calibrate import agree
-
     assert agree(smallest, rig, certificate)
     left, _, strongest, weakest = capsys.readouterr().err.splitlines()
     assert left.startswith("left coil: flat from 20 to 1000 Hz within ")

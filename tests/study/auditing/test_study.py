@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -16,7 +17,7 @@ from feel321.study.folder import StudyFolder
 from feel321.study.participants.roster import write_roster
 from feel321.study.session import events
 from feel321.study.session.journal import Record, create_journal, read_journal, utc_now
-from feel321.study.session.plan import POLICIES, Plan, Stale, require_plan
+from feel321.study.session.plan import Plan, Policy, Stale, require_plan
 from feel321.study.simulate import simulate_study
 from feel321.study.withdrawal import withdraw_participant
 from tests.study.auditing.cheats import chain, reseal, shift_times
@@ -198,7 +199,7 @@ def test_a_journal_that_never_got_its_header_is_no_finding(copy: StudyFolder) ->
     assert find_only(copy) == f"{path}: has no header"
 
 
-@pytest.mark.parametrize("policy", POLICIES)
+@pytest.mark.parametrize("policy", get_args(Policy))
 def test_who_comes_back_after_a_day_gives_no_finding(
     present: Present, scripted: type, now: Callable[[], datetime], tmp_path: Path, policy: str
 ) -> None:
