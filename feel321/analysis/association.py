@@ -7,7 +7,7 @@ both drawn anew; the narrower one is reported beside it, by name, for comparison
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from types import MappingProxyType
 from typing import NamedTuple
@@ -267,22 +267,14 @@ def _explain_undrawn(drawn: Values, kind: str) -> Iterator[str]:
         yield f"All {drawn.size} {kind} draws gave the same: no interval without spread."
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Panel:
-    """Associations of the test stimuli of one scale and one level."""
-
-    scale: str
-    level: str
-    associations: tuple[Statistic, ...]
-    differences: tuple[Statistic, ...]
-    stimuli: DataFrame
-
-
 def make_panel(
     part: DataFrame, metrics: tuple[str, ...],
     *, draws: int, rng: np.random.Generator, info: Mapping[str, MetricInfo] = MappingProxyType({}),
-) -> Panel:  # fmt: skip
-    """Correlate the ratings of one scale and one level with every metric, by every method."""
+) -> Statistic:  # fmt: skip
+    """Correlate the ratings of one scale and one level with every metric, by every method.
+
+    Gives ``scale level``; ``associations`` and ``differences``, a Statistic each; and ``stimuli``, their mean ratings.
+    """
     # The same draws for every metric and method: a further metric changes nothing, and metrics that say the same get
     # the same intervals.
     seed, items = int(rng.integers(2**63)), make_items(part, metrics)
@@ -294,10 +286,9 @@ def make_panel(
         compared = correlate_items(turned, metrics, *resampling.METHODS, draws=draws, rng=seed)
     of_stimuli = part.drop_duplicates("stimulus_id").set_index("stimulus_id")[list(metrics)]
     pairs = list(combinations(metrics, 2))
-    return Panel(
-        scale=str(part["scale"].iloc[0]),
-        level=str(part["level"].iloc[0]),
+    return Statistic(
+        "Panel", scale=str(part["scale"].iloc[0]), level=str(part["level"].iloc[0]),
         associations=tuple(one.associate(metric) for metric in metrics for one in of),
         differences=tuple(one.compare(*pair) for pair in pairs for one in compared),
         stimuli=stimulus_means(part).join(of_stimuli, on="stimulus_id"),
-    )
+    )  # fmt: skip

@@ -162,7 +162,7 @@ def p1401(
     beyond = float((np.maximum(0.0, errors - interval) ** 2).sum())
     freedom = n - PARAMETERS[order if groups is None else 0]
     plcc, rmse = _correlate(mos, mapped), float(np.sqrt(squares / freedom))
-    low, high = _find_fisher_interval(plcc, n - 3, NORMAL_QUANTILE)
+    low, high = _find_interval(plcc, n - 3, NORMAL_QUANTILE)
     rmse_low, rmse_high = (rmse * np.sqrt(freedom / chi2.ppf([0.975, 0.025], freedom))).tolist()
     ratio = float((errors > interval).mean())
     if np.isnan(plcc):
@@ -244,7 +244,7 @@ def _correlate(mos: Values, other: Values) -> float:
     return NAN if any(flat) else float(np.clip(np.corrcoef(mos, other)[0, 1], -1, 1))
 
 
-def _find_fisher_interval(r: float, n: int, quantile: float) -> tuple[float, float]:
+def _find_interval(r: float, n: int, quantile: float) -> tuple[float, float]:
     """Find the interval of a correlation whose Fisher's z has the variance 1 / n; NaN where it is perfect or n is 0."""
     if n < 1 or not abs(r) < PERFECT:
         return NAN, NAN
@@ -325,9 +325,7 @@ def compare_dependent(r_jk: float, r_jh: float, r_kh: float, n: int) -> Statisti
         q = (r1**2 + r2**2) / 2
         h = (1 - min(1.0, (1 - r12) / (2 * (1 - q))) * q) / (1 - q)
         meng = apart * float(np.sqrt((n - 3) / (2 * (1 - r12) * h)))
-        (low1, high1), (low2, high2) = (
-            _find_fisher_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2)
-        )
+        (low1, high1), (low2, high2) = (_find_interval(r, n - 3, norm.ppf(UPPER)) for r in (r1, r2))
         c = (r12 - r1 * r2 / 2) * (1 - r1**2 - r2**2 - r12**2) + r12**3
         c /= (1 - r1**2) * (1 - r2**2)
         # max: rounding may push a vanishing sum of squares below 0
@@ -411,7 +409,7 @@ def repeated_measures_correlation(
     one, other = rest
     if not notes:
         r = float(np.clip(one @ other / np.sqrt((one @ one) * (other @ other)), -1, 1))
-    low, high = _find_fisher_interval(r, df - 1, norm.ppf(UPPER))
+    low, high = _find_interval(r, df - 1, norm.ppf(UPPER))
     if np.isnan(low):
         why = "the correlation is perfect, or fewer than 2 degrees of freedom are left"
         notes.append(f"No interval: {why}.")

@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
     from pandas import DataFrame
 
-    from feel321.analysis.association import Panel
-    from feel321.analysis.primary.model import Primary
     from feel321.records import Statistic
 
 WIDTH_CM, CM_PER_INCH = 14.0, 2.54
@@ -383,7 +381,7 @@ def plot_stimuli(
 
 
 def draw_scatters(
-    panels: Sequence[Panel], metrics: Sequence[str], *, method: str, looks: Mapping[str, Look]
+    panels: Sequence[Statistic], metrics: Sequence[str], *, method: str, looks: Mapping[str, Look]
 ) -> Figure:
     """Draw mean ratings against metrics: a row per scale and level, a column per metric."""
     several = len({panel.level for panel in panels}) > 1
@@ -412,7 +410,7 @@ MOST = 2000
 """Points that an eye can use; of more rows this many are drawn, evenly through their order."""
 
 
-def draw_residuals(models: Mapping[str, Primary]) -> Figure:
+def draw_residuals(models: Mapping[str, Statistic]) -> Figure:
     """Draw a normal quantile plot of each model's residuals, and the residuals against the fitted values."""
     from scipy.special import ndtri
 

@@ -358,9 +358,7 @@ RULES: Mapping[str, Rule] = MappingProxyType({
 """Name -> rule, in the order of reports."""
 
 
-def _choose_limits(
-    rules: Iterable[str] | Mapping[str, float] | None, *, random: bool
-) -> dict[str, float]:
+def _choose_limits(rules: Iterable[str] | None, *, random: bool) -> dict[str, float]:
     """Settle which rules apply and their limits: name -> limit, in the order of `RULES`."""
     if rules is None:
         return {name: rule.limit for name, rule in RULES.items() if random or name != EXPERTISE}
@@ -497,9 +495,7 @@ def _describe_items(rows: DataFrame) -> DataFrame:
     return described.assign(multimodal=described["multimodality"] > UNIMODAL)
 
 
-def _explain(
-    rows: DataFrame, assumed: Iterable[str], found: Mapping[str, DataFrame]
-) -> Iterator[str]:
+def _explain(rows: DataFrame, assumed: list[str], found: Mapping[str, DataFrame]) -> Iterator[str]:
     """Name the protocol that was assumed, the rules that are not meant for what was rated, and those without data."""
     bound = [name for name in found if RULES[name].protocols]
     unsighted = not rows["protocol"].isin(SIGHTED).any()

@@ -85,8 +85,8 @@ def _draw_ellipses(
         raise ValueError("ellipses need dissimilarities of two participants or more, got one")
     if draws <= PLANE:
         raise ValueError(f"draws must be 3 or more, got {draws}; use 200")
-    seen, group = np.isfinite(stack), check_dissimilarities(stack)
-    weights = draw_counts(len(stack), draws, rng=rng)
+    n, seen, group = len(stack), np.isfinite(stack), check_dissimilarities(stack)
+    weights = draw_counts(n, draws, rng=rng)
     votes = np.einsum("dp,pij->dij", weights, seen)
     sums = np.einsum("dp,pij->dij", weights, np.where(seen, stack, 0))
     means = np.divide(sums, votes, out=np.broadcast_to(group, sums.shape).copy(), where=votes > 0)
@@ -95,12 +95,10 @@ def _draw_ellipses(
     moved = np.stack(placed) - np.mean(placed, axis=0)
     covariance = np.einsum("dni,dnj->nij", moved, moved) / (draws - 1)
     values, vectors = np.linalg.eigh(covariance)
-    scale = float(chi2.ppf(CONFIDENCE, PLANE)) * len(stack) / (len(stack) - 1)
+    scale = float(chi2.ppf(CONFIDENCE, PLANE)) * n / (n - 1)
     half_axes = np.sqrt(scale * np.maximum(values[:, ::-1], 0))
     angle = np.degrees(np.arctan2(vectors[:, 1, 1], vectors[:, 0, 1])) % 180
-    return Statistic(
-        "Ellipses", half_axes=half_axes, angle=angle, draws=draws, n_participants=len(stack)
-    )
+    return Statistic("Ellipses", half_axes=half_axes, angle=angle, draws=draws, n_participants=n)
 
 
 def stress_by_dimension(dissimilarities: ArrayLike, *, rng: Rng = 0) -> tuple[float, ...]:

@@ -15,10 +15,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
+from feel321.types import MetricInfo
+
 if TYPE_CHECKING:
     from jinja2 import Environment
-
-    from feel321.types import MetricInfo
 
 TEMPLATES = Path(__file__).parent / "templates"
 MINUS = "\N{MINUS SIGN}"
@@ -36,9 +36,7 @@ ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")  # Names of scales that are abbr
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
 # What the metrics of the report that is being written declare: names are put into words in many places, most of which
 # take them from a table's cell, and a report is written as a whole.
-_DECLARED: ContextVar[Mapping[str, MetricInfo]] = ContextVar(
-    "declared", default=MappingProxyType({})
-)
+_DECLARED = ContextVar[Mapping[str, MetricInfo]]("declared", default=MappingProxyType({}))
 # Axis label of each metric; another metric is labelled by its name.
 METRIC_AXES = {
     "spectral_match": "Spectral match (1 = identical energy)",

@@ -128,7 +128,7 @@ def _order_blocked(rounds: Sequence[Groups], *, number: int, rng: Generator) -> 
 
 
 def _spawn_participant(rng: Generator, number: int) -> Generator:
-    import numpy as np
+    import numpy as np  # not before it is needed: the command line answers at once
 
     return np.random.default_rng([int(rng.integers(2**63)), number])
 

@@ -124,7 +124,7 @@ def check_study(
     if own is not None and not (unread or faults):
         try:
             if rig:
-                found += strength.find_reach(rig, covariances, own).prefix(study.rig.name)
+                found += strength.find_reach(rig, covariances, own, name=study.rig.name)
             found += _foresee(study, settings, seen, recipe=own)
         except ValueError as error:
             found += Problems((str(error),))

@@ -30,10 +30,18 @@ from cyclopts.annotations import resolve_optional
 from cyclopts.exceptions import MissingArgumentError
 
 from feel321 import __version__, files
-from feel321.arguments import clean_text
-from feel321.files import clip
+from feel321.arguments import as_path, clean_text
+from feel321.files import clip, read_small
 from feel321.study import options, verbs
-from feel321.study.folder import SETTINGS_FILE, Outcome, StudyFolder, UsageError, require_study
+from feel321.study.folder import (
+    SETTINGS_FILE,
+    Outcome,
+    StudyFolder,
+    UsageError,
+    create_study,
+    read_template,
+    require_study,
+)
 from feel321.study.study import Study
 from feel321.study.terminal import CALL, Call, cap, dump_json, echo, wants_bar, warn
 
@@ -65,6 +73,7 @@ VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
+COMPLETION = "--install-completion"
 MOST_NEW = 50_000  # objects before garbage is looked for: among what was imported there is none
 LONGEST = 1000  # letters of a line of an error
 # Switches that every verb has, in any place.
@@ -144,6 +153,8 @@ def _call(words: Sequence[str]) -> int:
     elif words[0] in VERBS and "--help" in words:
         echo(describe_verb(words[0]))
     else:
+        if words[0] == COMPLETION:  # costs time to import
+            APP.register_install_completion_command(COMPLETION, show=False)
         return int(APP(words) or DONE)
     return DONE
 
@@ -187,6 +198,7 @@ def _complain(message: str, *, code: int) -> int:
 # The verbs, each made of a method of `Study`, or of a function where there need be no study. Options come from the
 # signature, read as `options` says, help from the docstring; what is returned is printed.
 
+DEMO_PARTICIPANTS = 16
 PER_FILE = 10  # findings of one file that are printed; the others are counted
 
 NAMED = partial(inspect.Parameter, kind=inspect.Parameter.KEYWORD_ONLY)
@@ -206,9 +218,45 @@ def open_study(name: str, path: Path) -> Study:
     return Study(StudyFolder(path), wants_bar(), warn=warn)
 
 
+def demo(*, out: options.Target = Path("demo-study")) -> None:
+    """Run a whole study with simulated participants.
+
+    Example: feel321 demo --out demo-study
+
+    Parameters
+    ----------
+    out : str or path
+        Folder of the study.
+    """
+    from feel321.study.observer import NUMBERED
+
+    folder = StudyFolder(as_path(out))
+    if not folder.path.exists() or not any(folder.path.iterdir()):
+        create_study(folder.path)
+    # What is anything but the demonstration is left alone.
+    people = [entry.name for entry in folder.participants if not NUMBERED.fullmatch(entry.name)]
+    refusal = ""
+    if not folder.settings.is_file():
+        refusal = f"{folder.path}: holds files that demo did not write"
+    elif read_small(folder.settings) != read_template():
+        refusal = f"{folder.settings}: edited, or written by another version of feel321"
+    elif people:
+        refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"
+    if refusal:
+        raise FileExistsError(f"{refusal}; name another folder with --out")
+    study = Study(folder, wants_bar(), warn=warn)
+    stimuli = study.build()
+    echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
+    rows = study.simulate(DEMO_PARTICIPANTS).to_dict()["ratings"]
+    echo(f"{folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
+    study.analyze()
+    echo(folder.report / "index.html")
+
+
 def make_verb(name: str) -> Callable[..., int]:
     """Make a verb of what has its name: a function whose arguments are those of a command line, and its exit code."""
-    do: Callable[..., Any] = getattr(Study, name, None) or getattr(verbs, name)
+    homes = (Study, verbs, SimpleNamespace(demo=demo))
+    do: Callable[..., Any] = next(getattr(one, name) for one in homes if hasattr(one, name))
     parameters = _list_parameters(do)
     if name not in WORDY and inspect.signature(do).return_annotation != "None":
         parameters.append(NAMED("as_json", default=False, annotation=Json))
@@ -357,7 +405,6 @@ APP = App(
 )
 for _verb in VERBS:
     APP.command(make_verb(_verb), name=_verb)
-APP.register_install_completion_command(show=False)
 
 
 ABOUT = (
@@ -379,7 +426,7 @@ def read_doc(verb: str) -> str:
 
 def describe_program() -> str:
     """Describe the program: its verbs by group."""
-    completion = ("--install-completion", "Let this shell complete verbs and options.")
+    completion = (COMPLETION, "Let this shell complete verbs and options.")
     options = [("--version", "Show the version."), completion, *EVERYWHERE]
     lines = ["Usage: feel321 VERB [STUDY] [OPTIONS]", "", *_fill(ABOUT)]
     lines += ["", "Options:", *_format_rows(options)]

@@ -12,7 +12,7 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from feel321.arguments import check_name
-from feel321.files import create_text, is_of_group, make_folder
+from feel321.files import create_text, is_of_group, make_folder, write_table
 from feel321.records import Result
 from feel321.study.session.events import PartPlayed
 from feel321.study.session.journal import PARTICIPANT_ID, Clock, list_journals, utc_now
@@ -169,10 +169,21 @@ class StudyFolder:
         """Make the folder of the sessions, its owner's alone; a lab may open it to its group (mode 0750)."""
         make_folder(self.sessions, private=True)
 
-    def share(self, path: Path) -> None:
-        """Let the group read a table that was derived from sessions which it may read."""
-        if path.is_file() and self.sessions.is_dir() and is_of_group(self.sessions):
-            path.chmod(0o640)
+    def write_table(
+        self,
+        name: str,
+        columns: Sequence[str],
+        rows: Sequence[Mapping[str, Any]],
+        *,
+        is_optional: bool = False,
+    ) -> Path:
+        """Write a table derived from sessions, for whoever may read these; is_optional: if it has or had rows."""
+        path = self.path / name
+        if rows or not is_optional or path.exists():
+            write_table(path, columns, rows, private=True)
+            if self.sessions.is_dir() and is_of_group(self.sessions):
+                path.chmod(0o640)
+        return path
 
     def _list_entries(self, *, ours: bool) -> list[Path]:
         # Hidden ones are the system's, or a file that is being written.
@@ -311,12 +322,6 @@ class Problems(Findings):
     notes: tuple[str, ...] = ()
     figures: Mapping[str, Any] = field(default_factory=dict)
     subject: str = ""
-
-    def prefix(self, name: str) -> Problems:
-        """Put the name of a file before each line."""
-        kinds = self.problems, self.warnings, self.notes
-        problems, warnings, notes = (tuple(f"{name}: {line}" for line in kind) for kind in kinds)
-        return Problems(problems, warnings, notes, figures=self.figures)
 
     def __add__(self, other: Problems) -> Problems:
         """Put what was found in two parts of a study together."""

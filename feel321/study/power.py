@@ -214,9 +214,7 @@ def _fit_pilot(table: Table, metrics: Sequence[str], *, name: str, known: Truth)
         squares = float(((rows[RATING] - cells.transform("mean")) ** 2).sum())
         rating_sd = np.sqrt(squares / spare) if spare else 0.0
         model = fit_primary(rows, metrics, explain=False)
-        spreads = {
-            (one["group"], one["term"]): one["sd"] for one in model.fit.variances.to_dict("records")
-        }
+        spreads = model.fit.variances.set_index(["group", "term"])["sd"].to_dict()
         own, residual = spreads.get((f"{WHO}:{ITEM}", "(Intercept)")), model.fit.residual_sd
         if own is None:
             own = np.sqrt(max(residual**2 - rating_sd**2 / repeats, 0.0))

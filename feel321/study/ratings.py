@@ -43,10 +43,9 @@ _KINDS = {kind.event for kind in (events.TrialShown, events.PartPlayed, events.T
 def write_ratings(study: StudyFolder, stimuli: StimulusSet) -> int:
     """Write and count all judgements of the main trials; of a bad attempt, or a session begun anew, as rejected."""
     rows = [row for one in study.read_people() for row in list_judgements(one, stimuli)]
-    count = write_table(study.ratings, RATING_COLUMNS, rows, private=True)
-    study.share(study.ratings)
+    study.write_table(study.ratings.name, RATING_COLUMNS, rows)
     write_wide(study.path, rows)
-    return count
+    return len(rows)
 
 
 def list_judgements(dossier: Dossier, stimuli: StimulusSet) -> list[dict[str, Any]]:
@@ -153,10 +152,7 @@ def _judge(
 def write_matches(study: StudyFolder, stimuli: StimulusSet) -> list[dict[str, Any]]:
     """Write all matches of a study, if it has or had any, and return them."""
     rows = [row for one in study.read_people() for row in list_matches(one, stimuli)]
-    path = study.path / MATCHES_FILE
-    if rows or path.exists():
-        write_table(path, MATCH_COLUMNS, rows, private=True)
-        study.share(path)
+    study.write_table(MATCHES_FILE, MATCH_COLUMNS, rows, is_optional=True)
     return rows
 
 

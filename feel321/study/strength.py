@@ -207,16 +207,19 @@ def write_db(value: float) -> str:
 
 
 def find_reach(
-    rig: Rig, covariances: Mapping[str, NDArray[np.float64]], recipe: Recipe
+    rig: Rig, covariances: Mapping[str, NDArray[np.float64]], recipe: Recipe, *, name: str
 ) -> Problems:
-    """Compare how much energy of one-axis stimuli and of the reference reaches the hand; covariances: (3, 3) each."""
+    """Compare how much energy of one-axis stimuli and of the reference reaches the hand.
+
+    covariances: (3, 3) each; name: of the rig's file.
+    """
     if recipe.reference != ORIGINAL:
         return Problems()
     directions, unknown = render.find_directions(rig)
     if unknown:
         line = (
-            f"actuators {', '.join(map(repr, unknown))}: no direction is known, so it is unknown whether one-axis "
-            "stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
+            f"{name}: actuators {', '.join(map(repr, unknown))}: no direction is known, so it is unknown whether "
+            "one-axis stimuli and the three-axis reference reach the hand with equal energy; add direction = [x, y, z] "
             "to every actuator"
         )
         return Problems(warnings=(line,))
@@ -230,7 +233,7 @@ def find_reach(
     worst, figures = differences[recording], {"reduced_over_reference_db": differences}
     if abs(worst) < render.EQUAL_DB:
         same = "one-axis stimuli and the three-axis reference reach the hand with equal energy"
-        return Problems(notes=(f"{same} (difference {write_db(worst)})",), figures=figures)
+        return Problems(notes=(f"{name}: {same} (difference {write_db(worst)})",), figures=figures)
     # Strength gives the reference away; these weights would avoid that.
     factor = 10 ** (-worst / 20)
     weights = {name: own[REDUCED] * factor for name, own in mix.items() if REDUCED in own}
@@ -243,7 +246,7 @@ def find_reach(
     elif not is_alike:
         remedy += ", or put the coils of x, y and z at right angles"
     warning = (
-        f"one-axis stimuli reach the hand {abs(worst):.1f} dB {'stronger' if worst > 0 else 'weaker'} than the "
+        f"{name}: one-axis stimuli reach the hand {abs(worst):.1f} dB {'stronger' if worst > 0 else 'weaker'} than the "
         f"three-axis reference{'' if is_alike else f' in recording {recording!r}'}, so they can be distinguished by "
         f"strength; {remedy}"
     )

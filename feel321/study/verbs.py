@@ -1,4 +1,4 @@
-"""Verbs that need no study to be there: `new`, `demo`; `reduce`, `match`, `tradeoff` of recordings."""
+"""Verbs that need no study to be there: `new`; `reduce`, `match`, `tradeoff` of recordings."""
 
 from __future__ import annotations
 
@@ -10,16 +10,8 @@ from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from feel321.arguments import as_path, follow, name_of
-from feel321.files import read_small
 from feel321.jobs import as_workers
-from feel321.study.folder import (
-    Outcome,
-    StudyFolder,
-    UsageError,
-    create_study,
-    read_template,
-    require_study,
-)
+from feel321.study.folder import Outcome, StudyFolder, UsageError, create_study, require_study
 from feel321.study.options import AS_IT_SAYS
 from feel321.study.terminal import cap, dump_json, echo, format_facts, wants_bar, warn
 
@@ -35,9 +27,6 @@ if TYPE_CHECKING:
     Chosen = TypeVar("Chosen")
 
 RATE_TOLERANCE_HZ = 1.0  # A WAV header holds whole Hz only; a recording's true rate may lie between
-
-
-DEMO_PARTICIPANTS = 16
 
 
 def new(
@@ -74,46 +63,12 @@ def new(
     elif study and methods:
         raise UsageError("--methods adds to a study of your own; leave out --study")
     else:
-        from feel321.study.study import Study
+        made = create_study(as_path(folder), bundled=study)
+        if methods:
+            from feel321.study.settings.read import add_methods
 
-        made = Study.create(folder, like=study, methods=methods).folder
+            add_methods(made)
         echo(f"{made.settings}: edit it, then: feel321 check {quote(str(folder))}")
-
-
-def demo(*, out: options.Target = Path("demo-study")) -> None:
-    """Run a whole study with simulated participants.
-
-    Example: feel321 demo --out demo-study
-
-    Parameters
-    ----------
-    out : str or path
-        Folder of the study.
-    """
-    from feel321.study.observer import NUMBERED
-    from feel321.study.study import Study
-
-    folder = StudyFolder(as_path(out))
-    if not folder.path.exists() or not any(folder.path.iterdir()):
-        create_study(folder.path)
-    # What is anything but the demonstration is left alone.
-    people = [entry.name for entry in folder.participants if not NUMBERED.fullmatch(entry.name)]
-    refusal = ""
-    if not folder.settings.is_file():
-        refusal = f"{folder.path}: holds files that demo did not write"
-    elif read_small(folder.settings) != read_template():
-        refusal = f"{folder.settings}: edited, or written by another version of feel321"
-    elif people:
-        refusal = f"{folder.path}: holds a session of {people[0]}, who is no simulated participant"
-    if refusal:
-        raise FileExistsError(f"{refusal}; name another folder with --out")
-    study = Study(folder, wants_bar(), warn=warn)
-    stimuli = study.build()
-    echo(f"{stimuli.folder}: {len(stimuli.stimuli)} stimuli")
-    rows = study.simulate(DEMO_PARTICIPANTS).to_dict()["ratings"]
-    echo(f"{folder.ratings}: {rows} ratings of {DEMO_PARTICIPANTS} simulated participants")
-    study.analyze()
-    echo(folder.report / "index.html")
 
 
 def reduce(

@@ -21,6 +21,8 @@ from feel321.analysis.resampling import (
 )
 from feel321.analysis.table.items import Items, make_items
 
+Tidy = Callable[..., pd.DataFrame]
+
 SPECTRAL, TEMPORAL = "spectral_match", "temporal_match"
 REFERENCE = {"pearson": stats.pearsonr, "spearman": stats.spearmanr, "kendall": stats.kendalltau}
 WITHIN = {"within": "pearson", "within_spearman": "spearman", "within_kendall": "kendall"}
@@ -38,22 +40,17 @@ def item_means(table: pd.DataFrame) -> pd.DataFrame:
 
 
 @pytest.mark.parametrize("method", REFERENCE)
-def test_value_is_the_correlation_of_item_means(
-    tidy: Callable[..., pd.DataFrame], method: str
-) -> None:
+def test_value_is_the_correlation_of_item_means(tidy: Tidy, method: str) -> None:
     table, reference = tidy(), REFERENCE[method]
     means = item_means(table)
     found = correlate(table, SPECTRAL, method=method, draws=20, rng=rng())
-    assert found.value == pytest.approx(
-        reference(means[SPECTRAL], means["mean"]).statistic, abs=1e-12
-    )
+    expected = reference(means[SPECTRAL], means["mean"]).statistic
+    assert found.value == pytest.approx(expected, abs=1e-12)
     assert (found.n_items, found.n_participants, found.n_recordings) == (36, 6, 4)
 
 
 @pytest.mark.parametrize("method", WITHIN)
-def test_within_is_the_average_over_recordings(
-    tidy: Callable[..., pd.DataFrame], method: str
-) -> None:
+def test_within_is_the_average_over_recordings(tidy: Tidy, method: str) -> None:
     table, reference = tidy(noise=25), REFERENCE[WITHIN[method]]
     groups = item_means(table).groupby(lambda name: name.split("_")[0])
     z = [math.atanh(reference(part[SPECTRAL], part["mean"]).statistic) for _, part in groups]
@@ -72,25 +69,18 @@ def test_ceiling_within_recovers_a_perfect_metric() -> None:
     assert found.disattenuated == pytest.approx(1, abs=0.06)
 
 
-def test_intervals_within_allow_for_the_lean_of_few_stimuli(
-    tidy: Callable[..., pd.DataFrame],
-) -> None:
+def test_intervals_within_allow_for_the_lean_of_few_stimuli(tidy: Tidy) -> None:
     table = tidy(noise=25)
     groups = item_means(table).groupby(lambda name: name.split("_")[0])
-    leans = [
-        stats.pearsonr(part[SPECTRAL], part["mean"]).statistic / (2 * (len(part) - 1))
-        for _, part in groups
-    ]
+    parts = [(stats.pearsonr(part[SPECTRAL], part["mean"]), len(part)) for _, part in groups]
+    lean = np.mean([found.statistic / (2 * (n - 1)) for found, n in parts])
     found = correlate(table, SPECTRAL, method="within", draws=100, rng=rng())
-    for low, high in ((found.low, found.high), (found.participants_low, found.participants_high)):
-        assert np.mean(np.arctanh([low, high])) == pytest.approx(
-            math.atanh(found.value) - np.mean(leans)
-        )
+    for ends in ((found.low, found.high), (found.participants_low, found.participants_high)):
+        assert np.mean(np.arctanh(ends)) == pytest.approx(math.atanh(found.value) - lean)
     turned = table.assign(other=-table[SPECTRAL])
     compared = compare_metrics(turned, SPECTRAL, "other", method="within", draws=100, rng=rng())
-    assert (compared.z_low + compared.z_high) / 2 == pytest.approx(
-        compared.z_value - 2 * np.mean(leans)
-    )
+    middle = (compared.z_low + compared.z_high) / 2
+    assert middle == pytest.approx(compared.z_value - 2 * lean)
 
 
 @pytest.mark.soak
@@ -99,10 +89,8 @@ def test_interval_within_covers_a_planted_correlation() -> None:
     for _ in range(studies):
         table = simulate(generator)
         # To noise of stimuli, SD 8, and of people, SD 8 / sqrt(12).
-        planted = table["rating"] + 8 * table["metric"]
-        found = correlate(
-            table.assign(rating=planted), "metric", method="within", draws=400, rng=generator
-        )
+        table["rating"] += 8 * table["metric"]
+        found = correlate(table, "metric", method="within", draws=400, rng=generator)
         covered += found.low <= 8 / math.sqrt(64 + 64 + 64 / 12) <= found.high
     assert 0.92 <= covered / studies <= 0.985
 
@@ -126,12 +114,8 @@ def simulate(
     scene = np.repeat(np.arange(scenes), reducers)
     metric = generator.normal(size=scenes)[scene] + generator.normal(size=scene.size)
     item = generator.normal(size=scenes)[scene] * 8 + generator.normal(size=scene.size) * 8
-    rating = (
-        50
-        + item
-        + generator.normal(0, 5, (people, 1))
-        + generator.normal(0, 8, (people, scene.size))
-    )
+    rating = 50 + item + generator.normal(0, 5, (people, 1))
+    rating = rating + generator.normal(0, 8, (people, scene.size))
     return pd.DataFrame({
         "participant": np.repeat(np.arange(people), scene.size),
         "recording": np.tile(scene, people),
@@ -167,32 +151,26 @@ def test_the_interval_of_few_participants_covers_too() -> None:
 
 
 @pytest.mark.parametrize(("people", "scenes"), [(3, 6), (6, 3), (4, 4)])
-def test_intervals_are_rebuilt_from_the_draws(
-    tidy: Callable[..., pd.DataFrame], people: int, scenes: int
-) -> None:
+def test_intervals_are_rebuilt_from_the_draws(tidy: Tidy, people: int, scenes: int) -> None:
     table = tidy(participants=people, recordings=scenes)
     found = correlate(table, SPECTRAL, draws=200, rng=rng())
     same, items = rng(), make_items(table, [SPECTRAL])
     drawn = draw_counts(people, 200, rng=same), draw_counts(scenes, 200, rng=same)
     intervals = (found.low, found.high), (found.participants_low, found.participants_high)
-    counted = (drawn[1], np.ones((200, scenes)))
-    for counts, units, interval in zip(
-        counted, (min(people, scenes), people), intervals, strict=True
-    ):
+    counted, sizes = (drawn[1], np.ones((200, scenes))), (min(people, scenes), people)
+    for counts, units, interval in zip(counted, sizes, intervals, strict=True):
         averages = Averages.of(items, drawn[0])
         z = np.arctanh(averages.correlate(items, METHODS["pearson"], counts=(counts,))[0][0])
         margin = stats.t.ppf(0.975, units - 1) * math.sqrt(units / (units - 1)) * z.std(ddof=1)
-        assert np.arctanh(interval) == pytest.approx(
-            math.atanh(found.value) + margin * np.array([-1, 1])
-        )
+        ends = math.atanh(found.value) + margin * np.array([-1, 1])
+        assert np.arctanh(interval) == pytest.approx(ends)
 
 
-def test_reference_and_anchors_do_not_count(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_reference_and_anchors_do_not_count(tidy: Tidy) -> None:
     table = tidy()
     tests = table[table["role"] == "test"]
-    assert correlate(table, SPECTRAL, draws=50, rng=rng()) == correlate(
-        tests, SPECTRAL, draws=50, rng=rng()
-    )
+    whole, own = (correlate(rows, SPECTRAL, draws=50, rng=rng()) for rows in (table, tests))
+    assert whole == own
 
 
 def test_ceiling_and_disattenuation_recover_a_perfect_metric() -> None:
@@ -206,7 +184,7 @@ def test_ceiling_and_disattenuation_recover_a_perfect_metric() -> None:
     assert found.ceiling == pytest.approx(found.value / found.disattenuated)
 
 
-def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> None:
+def test_difference_is_told_in_both_units(tidy: Tidy) -> None:
     table = tidy()
     one, two = (correlate(table, name, draws=20, rng=rng()).value for name in (SPECTRAL, TEMPORAL))
     found = compare_metrics(table, SPECTRAL, TEMPORAL, draws=200, rng=rng())
@@ -215,11 +193,8 @@ def test_difference_is_told_in_both_units(tidy: Callable[..., pd.DataFrame]) -> 
     assert (found.first_value, found.second_value) == pytest.approx((one, two))
     assert found.z_value == pytest.approx(math.atanh(one) - math.atanh(two))
     assert np.sign(found.low) == np.sign(found.z_low)
-    assert (turned.value, turned.low, turned.high) == pytest.approx((
-        -found.value,
-        -found.high,
-        -found.low,
-    ))
+    ends = -found.value, -found.high, -found.low
+    assert (turned.value, turned.low, turned.high) == pytest.approx(ends)
 
 
 def make_coarse(rng: np.random.Generator, *, missing: float = 0.0) -> Items:
@@ -257,10 +232,9 @@ def test_draws_equal_a_loop_over_the_written_out_samples(method: str, missing: f
     items = make_coarse(rng, missing=missing)
     people, scenes = draw_counts(5, 60, rng=rng), draw_counts(4, 60, rng=rng)
     (fast,) = Averages.of(items, people).correlate(items, METHODS[method], counts=(scenes,))
-    slow = np.array([
-        correlate_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
-    ]).T
-    np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)
+    pairs = zip(people, scenes, strict=True)
+    slow = [correlate_slowly(items, method, *pair) for pair in pairs]
+    np.testing.assert_allclose(fast, np.array(slow).T, rtol=0, atol=1e-12)
 
 
 @given(seed=st.integers(0, 10_000))
@@ -275,10 +249,8 @@ def test_weights_mean_repetition(seed: int) -> None:
     ranks = np.repeat(weighted_ranks(x, weights.astype(float)), weights)
     np.testing.assert_array_equal(ranks, stats.rankdata(many_x))
     for name, reference in REFERENCE.items():
-        expected = reference(many_x, many_y).statistic
-        assert METHODS[name].correlation(x, y, weights=weights.astype(float)) == pytest.approx(
-            expected, abs=1e-12
-        )
+        found = METHODS[name].correlation(x, y, weights=weights.astype(float))
+        assert found == pytest.approx(reference(many_x, many_y).statistic, abs=1e-12)
 
 
 @pytest.mark.parametrize("constant", [0.0, 0.1, 1e6, -3.3e-7])
@@ -314,16 +286,10 @@ def correlate_within_slowly(
 @pytest.mark.parametrize("method", WITHIN)
 def test_within_averages_the_recordings_over_fishers_z(method: str) -> None:
     rng = np.random.default_rng(5)
-    items = Items(
-        tuple(map(str, range(60))),
-        rng.normal(size=(6, 60)),
-        rng.normal(size=(1, 60)),
-        np.repeat([0, 1, 2], 20),
-    )
+    names, ratings, metrics = tuple("a" * 60), rng.normal(size=(6, 60)), rng.normal(size=(1, 60))
+    items = Items(names, ratings, metrics, np.repeat([0, 1, 2], 20))
     people, scenes = draw_counts(6, 40, rng=rng), draw_counts(3, 40, rng=rng)
     (fast,) = Averages.of(items, people).correlate(items, METHODS[method], counts=(scenes,))
-    fast = fast[0]
-    slow = [
-        correlate_within_slowly(items, method, *pair) for pair in zip(people, scenes, strict=True)
-    ]
-    np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12)
+    pairs = zip(people, scenes, strict=True)
+    slow = [correlate_within_slowly(items, method, *pair) for pair in pairs]
+    np.testing.assert_allclose(fast[0], slow, rtol=0, atol=1e-12)

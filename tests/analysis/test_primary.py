@@ -1,17 +1,14 @@
 """The primary model: what it is made of, what it finds again, and how it shrinks with the data."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from feel321.analysis.mixed.model import fit_mixed
-from feel321.analysis.primary.model import (
-    Primary,
-    fit_attributes,
-    fit_primary,
-    fit_slopes,
-    tabulate_slopes,
-)
+from feel321.analysis.primary import model as models
+from feel321.analysis.primary.model import Primary, fit_primary, fit_slopes, tabulate_slopes
 from feel321.analysis.primary.plan import make_cells, plan_terms
 from feel321.analysis.primary.sensitivity import vary_primary
 
@@ -35,24 +32,20 @@ def make_rows(
     """A study with a slope of 20 of the first metric and none of the second, on average over people and recordings."""
     rng = np.random.default_rng(seed)
     levels = [range(people), range(recordings), range(reducers), range(repeats)]
-    rows = pd.MultiIndex.from_product(
-        levels, names=["participant", "recording", "reducer", "repeat"]
-    ).to_frame(index=False)
+    names = ["participant", "recording", "reducer", "repeat"]
+    rows = pd.MultiIndex.from_product(levels, names=names).to_frame(index=False)
     rows["item"] = rows["recording"] * reducers + rows["reducer"]
     scenes = rng.normal(0.5, 0.1, (2, recordings))
-    sm, tm = rng.uniform(-0.3, 0.3, (2, recordings * reducers)) + np.repeat(
-        scenes, reducers, axis=1
-    )
+    within = rng.uniform(-0.3, 0.3, (2, recordings * reducers))
+    sm, tm = within + np.repeat(scenes, reducers, axis=1)
     rows["sm"], rows["tm"] = sm[rows["item"]], tm[rows["item"]]
     own = 20 + rng.normal(0, 4, people)
     theirs = np.random.default_rng([seed, 10]).normal(0, scene_slope, (2, recordings))
     rating = 50 + own[rows["participant"]] * (rows["sm"] - scenes[0][rows["recording"]])
     for name, slopes, middle in zip(METRICS, theirs, scenes, strict=True):
         rating += slopes[rows["recording"]] * (rows[name] - middle[rows["recording"]])
-    rating += (
-        rng.normal(0, 8, people)[rows["participant"]]
-        + rng.normal(0, 5, recordings)[rows["recording"]]
-    )
+    of_people = rng.normal(0, 8, people)[rows["participant"]]
+    rating += of_people + rng.normal(0, 5, recordings)[rows["recording"]]
     rating += rng.normal(0, 2, recordings * reducers)[rows["item"]]
     rating += rng.normal(0, 3, (people, recordings))[rows["participant"], rows["recording"]]
     rows["rating"] = (rating + rng.normal(0, 8, len(rows))).clip(0, 100)
@@ -134,38 +127,33 @@ def test_small_studies_are_reduced_in_words(
     assert reason in " ".join(primary.reductions)
 
 
-def test_shapes_refused(rows: pd.DataFrame) -> None:
-    with pytest.raises(ValueError, match="column zm is missing"):
-        fit_primary(rows, ["zm"])
-    with pytest.raises(ValueError, match="one name or more"):
-        fit_primary(rows, [])
-    with pytest.raises(ValueError, match="got none"):
-        fit_primary(rows.iloc[:0], METRICS)
-    with pytest.raises(TypeError, match=r"metrics must be a list of names.*write \['sm'\]"):
-        fit_primary(rows, "sm")
-    with pytest.raises(
-        ValueError, match="rows, 'sm' must hold numbers: could not convert string to float: 'high'"
-    ):
-        fit_primary(rows.assign(sm="high"), METRICS)
-    with pytest.raises(
-        ValueError, match="rows must be of one scale, got the scales realism, similarity; select"
-    ):
-        fit_primary(
-            rows.assign(scale=np.where(rows["repeat"] == 0, "realism", "similarity")), METRICS
-        )
-    with pytest.raises(ValueError, match="got no column 'scale'; name it"):
-        fit_attributes(rows, METRICS)
-    with pytest.raises(ValueError, match="models must hold one attribute or more"):
-        tabulate_slopes({})
-    with pytest.raises(ValueError, match="one participant and one recording"):
-        fit_primary(rows.query("participant == 0 and recording == 0"), METRICS)
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda rows: fit_primary(rows, ["zm"]), "column zm is missing"),
+        (lambda rows: fit_primary(rows, []), "one name or more"),
+        (lambda rows: fit_primary(rows.iloc[:0], METRICS), "got none"),
+        (lambda rows: fit_primary(rows, "sm"), r"metrics must be a list of names.*write \['sm'\]"),
+        (lambda rows: fit_primary(rows.assign(sm="high"), METRICS),
+         "rows, 'sm' must hold numbers: could not convert string to float: 'high'"),
+        (lambda rows: fit_primary(rows.assign(scale=np.where(rows["repeat"] == 0, "realism", "similarity")), METRICS),
+         "rows must be of one scale, got the scales realism, similarity; select"),
+        (lambda rows: models.fit_attributes(rows, METRICS), "got no column 'scale'; name it"),
+        (lambda _: tabulate_slopes({}), "models must hold one attribute or more"),
+        (lambda rows: fit_primary(rows.query("participant == 0 and recording == 0"), METRICS),
+         "one participant and one recording"),
+    ],
+)  # fmt: skip
+def test_shapes_refused(
+    rows: pd.DataFrame, call: Callable[[pd.DataFrame], object], message: str
+) -> None:
+    with pytest.raises((ValueError, TypeError), match=message):
+        call(rows)
 
 
 def test_holm_counts_every_attribute_and_metric(rows: pd.DataFrame) -> None:
-    models = fit_attributes(
-        pd.concat([rows.assign(scale="realism"), make_rows(5).assign(scale="similarity")]), METRICS
-    )
-    table = tabulate_slopes(models)
+    both = pd.concat([rows.assign(scale="realism"), make_rows(5).assign(scale="similarity")])
+    table = tabulate_slopes(models.fit_attributes(both, METRICS))
     assert table["attribute"].tolist() == ["realism", "realism", "similarity", "similarity"]
     order = table["p"].to_numpy().argsort()
     wanted = np.maximum.accumulate(table["p"].to_numpy()[order] * [4, 3, 2, 1]).clip(max=1)
@@ -175,10 +163,8 @@ def test_holm_counts_every_attribute_and_metric(rows: pd.DataFrame) -> None:
 def test_sensitivity_runs_every_variant(
     rows: pd.DataFrame, primary: Primary, varied: pd.DataFrame
 ) -> None:
-    table, names = (
-        varied,
-        "primary; correlated slopes; without reducers; rater-standardised; logits",
-    )
+    table = varied
+    names = "primary; correlated slopes; without reducers; rater-standardised; logits"
     assert table["variant"].unique().tolist() == names.split("; ")
     first = table[table["variant"] == "primary"].set_index("metric")
     assert first["estimate"].to_dict() == pytest.approx(primary.slopes["estimate"].to_dict())
@@ -198,60 +184,43 @@ def test_reducers_that_differ_whatever_their_metrics_are_in_the_model(rows: pd.D
     assert own.fit.criterion < plain.fit.criterion - 10
     # What a reducer adds to all its stimuli is no part of a slope that knows of reducers only by their recordings.
     before = fit_primary(rows, METRICS)
-    for column in ("centred", "centred_se", "centred_df"):
-        assert own.slopes[column].tolist() == pytest.approx(
-            before.slopes[column].tolist(), rel=1e-4, nan_ok=True
-        )
+    columns = ["centred", "centred_se", "centred_df"]
+    np.testing.assert_allclose(own.slopes[columns], before.slopes[columns], rtol=1e-4)
 
 
 def test_centred_slope_is_that_of_a_model_with_reducers_as_fixed_effects(
     rows: pd.DataFrame, primary: Primary
 ) -> None:
     table = make_cells(rows, METRICS).table
-    grid = {
-        name: table.drop_duplicates("item").pivot_table(f"{name}_w", "recording", "reducer")
-        for name in METRICS
-    }
+    items, within = table.drop_duplicates("item"), ["sm_w", "tm_w"]
     # Recordings' means are 0 already.
-    twice = {name: values - values.mean(axis=0) for name, values in grid.items()}
-    places = list(zip(table["recording"], table["reducer"], strict=True))
-    centred = {
-        f"{name}_w": [values.loc[place] for place in places] for name, values in twice.items()
-    }
+    means = items.groupby("reducer")[within].mean().loc[table["reducer"]]
+    centred = table[within] - means.to_numpy()
     formula = FULL.replace("tm_b", "tm_b + factor(reducer)") + " + (1 | participant:reducer)"
-    wanted = fit_mixed(formula, table.assign(**centred)).fixed.loc[["sm_w", "tm_w"]]
+    wanted = fit_mixed(formula, table.assign(**centred)).fixed.loc[within]
     known = wanted["df"].to_numpy() >= 2
     assert known.tolist() == primary.slopes["centred_se"].notna().tolist()
-    assert primary.slopes["centred"].tolist() == pytest.approx(
-        wanted["estimate"].tolist(), rel=1e-5
-    )
+    np.testing.assert_allclose(primary.slopes["centred"], wanted["estimate"], rtol=1e-5)
     for ours, theirs in (("centred_se", wanted["se"]), ("centred_df", wanted["df"].clip(upper=10))):
-        assert primary.slopes[ours][known].tolist() == pytest.approx(
-            theirs[known].tolist(), rel=1e-4
-        )
+        np.testing.assert_allclose(primary.slopes[ours][known], theirs[known], rtol=1e-4)
 
 
 @pytest.mark.parametrize(
     ("query", "estimable", "why"),
     [
         ("participant < 2", False, "with 2 participants, where 3 are needed"),
-        (
-            "recording < 2 and participant < 1",
-            False,
-            "with 1 participant and 2 recordings, where 3 are needed",
-        ),
+        ("recording < 2 and participant < 1", False, "with 1 participant and 2 recordings, where 3 are needed"),
         ("participant < 4 and recording < 4", True, ""),
     ],
-)
+)  # fmt: skip
 def test_slopes_of_too_few_are_not_estimable(
     rows: pd.DataFrame, query: str, estimable: bool, why: str
 ) -> None:
     primary = fit_primary(rows.query(query), METRICS)
     assert primary.slopes["estimable"].eq(estimable).all()
     assert np.isfinite(primary.slopes[["estimate", "tenth", "quartile_effect"]].to_numpy()).all()
-    tests = primary.slopes[
-        ["se", "df", "p", "low", "high", "tenth_low", "quartile_high", "standardised_low"]
-    ]
+    names = "se df p low high tenth_low quartile_high standardised_low"
+    tests = primary.slopes[names.split()]
     assert tests.notna().to_numpy().all() == estimable == tests.notna().to_numpy().any()
     assert any(why and why in note for note in primary.notes) != estimable
     assert tabulate_slopes({"realism": primary})["p_holm"].notna().all() == estimable
@@ -264,14 +233,10 @@ def test_logits_and_rater_standardised_ratings_by_their_definitions(rows: pd.Dat
     share = (few["rating"] / 100 * (len(few) - 1) + 0.5) / len(few)
     logits = fit_primary(few.assign(rating=np.log(share / (1 - share))), METRICS).slopes
     own = few.groupby("participant")["rating"]
-    standard = fit_primary(
-        few.assign(rating=own.transform(lambda y: (y - y.mean()) / y.std())), METRICS
-    ).slopes
+    scaled = few.assign(rating=own.transform(lambda y: (y - y.mean()) / y.std()))
+    standard, columns = fit_primary(scaled, METRICS).slopes, ["estimate", "se", "p", "standardised"]
     for variant, wanted in (("logits", logits), ("rater-standardised", standard)):
-        for column in ("estimate", "se", "p", "standardised"):
-            assert table.loc[variant, column].tolist() == pytest.approx(
-                wanted[column].tolist(), rel=1e-6
-            )
+        np.testing.assert_allclose(table.loc[variant, columns], wanted[columns], rtol=1e-6)
 
 
 @pytest.mark.soak
@@ -285,10 +250,8 @@ def test_reducers_that_feel_odd_for_other_reasons_are_no_evidence() -> None:
         like = np.random.default_rng([seed, 9]).normal(0, 0.2, 6)
         rows["tm"] += like[rows["reducer"]]
         rows["rating"] += odd[rows["reducer"]]
-        models = (
-            fit_primary(rows, METRICS, reducers=known, explain=False) for known in (True, False)
-        )
-        wrong.append([model.slopes.loc["tm", "p"] < 0.05 for model in models])
+        fits = (fit_primary(rows, METRICS, reducers=one, explain=False) for one in (True, False))
+        wrong.append([fit.slopes.loc["tm", "p"] < 0.05 for fit in fits])
     known, unknown = np.mean(wrong, axis=0)
     print(f"false positives with reducers {known:.3f}, without {unknown:.3f}")  # noqa: T201 - the figure
     assert 0.02 < known < 0.09

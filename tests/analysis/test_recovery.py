@@ -74,6 +74,7 @@ class Plant:
     own: float = 0.0  # what reducers feel like apart from the metrics, the same in every recording
 
 
+Judged = Iterator[tuple[str, bool]]
 CROSSED = Plant()
 NULL = Plant(slopes=(0.0, 0.0))
 EQUAL = Plant(slopes=(15.0, 15.0))
@@ -81,13 +82,8 @@ OWN = Plant(slopes=(0.0, 0.0), own=3.0)
 PLAIN = Plant(reducer_step=0, scene=0, item=0, recording=0, pair=0, slope=0)
 PLAIN_EQUAL = replace(PLAIN, slopes=(15.0, 15.0))
 PLANTS = {
-    "crossed": CROSSED,
-    "null": NULL,
-    "equal": EQUAL,
-    "own": OWN,
-    "plain": PLAIN,
-    "plain equal": PLAIN_EQUAL,
-}
+    "crossed": CROSSED, "null": NULL, "equal": EQUAL, "own": OWN, "plain": PLAIN, "plain equal": PLAIN_EQUAL,
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,24 +114,17 @@ def simulate(plant: Plant, rng: np.random.Generator, *, people: np.ndarray | Non
     """Make a study; `people` are levels and slopes of given participants, (people, 3)."""
     scenes = np.repeat(np.arange(plant.recordings), REDUCERS)
     reducers = np.tile(np.arange(REDUCERS), plant.recordings)
-    metrics = plant.reducer_step * (RANKS - RANKS.mean()).T[reducers].T + rng.normal(
-        0, 0.12, (2, len(scenes))
-    )
+    metrics = plant.reducer_step * (RANKS - RANKS.mean()).T[reducers].T
+    metrics += rng.normal(0, 0.12, (2, len(scenes)))
     metrics += plant.scene * rng.normal(size=(2, plant.recordings))[:, scenes]
     people = make_people(plant, rng) if people is None else people
-    item = (
-        rng.normal(0, plant.item, len(scenes))
-        + plant.recording * rng.normal(size=plant.recordings)[scenes]
-    )
+    item = rng.normal(0, plant.item, len(scenes))
+    item += plant.recording * rng.normal(size=plant.recordings)[scenes]
     middle = 50 + item + plant.slopes @ metrics + plant.own * rng.normal(size=REDUCERS)[reducers]
     felt = middle + people[:, :1] + people[:, 1:] @ metrics
     felt += plant.pair * rng.normal(size=(len(people), plant.recordings))[:, scenes]
-    return Study(
-        metrics,
-        felt[:, :, None] + rng.normal(0, plant.noise, (*felt.shape, plant.repeats)),
-        scenes,
-        middle,
-    )
+    ratings = felt[:, :, None] + rng.normal(0, plant.noise, (*felt.shape, plant.repeats))
+    return Study(metrics, ratings, scenes, middle)
 
 
 def make_people(plant: Plant, rng: np.random.Generator) -> np.ndarray:
@@ -161,26 +150,17 @@ def find_truth(plant: Plant, studies: int = 60) -> Truth:
     rows = [correlate_people(study) for study in huge]
     reliability = [intraclass(study.table) for study in huge]
     return Truth(
-        z={
-            method: np.mean([find_z(study, method) for study in large], axis=0)
-            for method in METHODS
-        },
+        z={one: np.mean([find_z(study, one) for study in large], axis=0) for one in METHODS},
         rmse=float(np.sqrt(np.mean([find_residual(study) ** 2 for study in large]))),
         repeated=np.mean(rows, axis=0),
-        reliability={
-            name: float(np.mean([getattr(one, name) for one in reliability])) for name in SINGLE
-        },
+        reliability={name: float(np.mean([one[name] for one in reliability])) for name in SINGLE},
         scales=np.mean([find_scales(study) for study in large], axis=0),
     )
 
 
 def find_z(study: Study, method: str) -> np.ndarray:
-    items = Items(
-        tuple(map(str, study.recordings)),
-        study.table.mean(axis=1)[None],
-        study.metrics,
-        study.recordings,
-    )
+    names, means = tuple(map(str, study.recordings)), study.table.mean(axis=1)[None]
+    items = Items(names, means, study.metrics, study.recordings)
     ones = np.ones((1, 1)), np.ones((1, items.n_recordings))
     (point,) = Averages.of(items, ones[0]).correlate(items, METHODS[method], counts=(ones[1],))
     point = point[:, 0]
@@ -198,12 +178,8 @@ def find_residual(study: Study) -> float:
 def correlate_people(study: Study) -> list[float]:
     inside = study.table - study.table.mean(axis=0)
     metrics = study.metrics - study.metrics.mean(axis=1, keepdims=True)
-    return [
-        float(
-            (inside.T @ one).sum() / np.sqrt((inside**2).sum() * inside.shape[1] * (one**2).sum())
-        )
-        for one in metrics
-    ]
+    square = (inside**2).sum() * inside.shape[1]
+    return [float((inside.T @ one).sum() / np.sqrt(square * (one**2).sum())) for one in metrics]
 
 
 def find_scales(study: Study) -> np.ndarray:
@@ -212,7 +188,7 @@ def find_scales(study: Study) -> np.ndarray:
     return within.std(axis=(1, 2)) / study.table.std()
 
 
-def judge_primary(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
+def judge_primary(plant: Plant, study: Study) -> Judged:
     truth, model = find_truth(plant), fit_primary(study.rows, ["sm", "tm"])
     for (name, row), slope, scale in zip(
         model.slopes.iterrows(), plant.slopes, truth.scales, strict=True
@@ -230,22 +206,18 @@ def judge_primary(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
     yield "difference of standardised slopes", inside
 
 
-def judge_associations(
-    plant: Plant, study: Study, rng: np.random.Generator
-) -> Iterator[tuple[str, bool]]:
+def judge_associations(plant: Plant, study: Study, rng: np.random.Generator) -> Judged:
     truth, rows = find_truth(plant), study.rows
     for method in METHODS:
         found = correlate(rows, "sm", method=method, draws=DRAWS, rng=rng)
         yield f"correlation, {method}", found.low <= np.tanh(truth.z[method][0]) <= found.high
         if method in {"pearson", "within"}:
             pair = compare_metrics(rows, "sm", "tm", method=method, draws=DRAWS, rng=rng)
-            yield (
-                f"difference of metrics, {method}",
-                pair.z_low <= np.subtract(*truth.z[method]) <= pair.z_high,
-            )
+            covered = pair.z_low <= np.subtract(*truth.z[method]) <= pair.z_high
+            yield f"difference of metrics, {method}", covered
 
 
-def judge_classics(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
+def judge_classics(plant: Plant, study: Study) -> Judged:
     truth, rows = find_truth(plant), study.rows
     r = np.tanh(truth.z["pearson"][0])
     standard = p1401(study.table, study.metrics[0], order=1)
@@ -253,10 +225,8 @@ def judge_classics(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
     yield "P.1401 rmse", standard.rmse_low <= truth.rmse <= standard.rmse_high
     cells = rows.groupby(["participant", "item"])[["sm", "rating"]].mean().reset_index()
     repeated = repeated_measures_correlation(cells["sm"], cells["rating"], cells["participant"])
-    yield (
-        "repeated-measures correlation, shared stimuli",
-        repeated.low <= truth.repeated[0] <= repeated.high,
-    )
+    covered = repeated.low <= truth.repeated[0] <= repeated.high
+    yield "repeated-measures correlation, shared stimuli", covered
     icc = intraclass(study.table)
     for name, wanted in {**truth.reliability, **step_up(truth.reliability, plant.people)}.items():
         yield name, getattr(icc, f"{name}_low") <= wanted <= getattr(icc, f"{name}_high")
@@ -264,34 +234,25 @@ def judge_classics(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
 
 def step_up(single: dict[str, float], k: int) -> dict[str, float]:
     """Spearman and Brown: from one rater to the mean of k."""
-    return {
-        f"icc_{kind}_k": k * one / (1 + (k - 1) * one)
-        for kind in "ac"
-        for one in [single[f"icc_{kind}_1"]]
-    }
+    means = {name: k * one / (1 + (k - 1) * one) for name, one in single.items()}
+    return {f"icc_{kind}_k": means[f"icc_{kind}_1"] for kind in "ac"}
 
 
-def judge_rows(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
+def judge_rows(rng: np.random.Generator) -> Judged:
     """Rows that are what the repeated-measures correlation takes them for: correlation 0.6 within people."""
     person = np.repeat(np.arange(12), 48)
     x, noise = rng.normal(size=(2, len(person)))
-    found = repeated_measures_correlation(
-        x, 0.6 * x + 0.8 * noise + rng.normal(0, 2, 12)[person], person
-    )
+    y = 0.6 * x + 0.8 * noise + rng.normal(0, 2, 12)[person]
+    found = repeated_measures_correlation(x, y, person)
     yield "repeated-measures correlation, own rows", found.low <= 0.6 <= found.high
 
 
-def judge_contrasts(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
-    means = (
-        study.rows
-        .groupby(["participant", "recording", "reducer", "item"])["rating"]
-        .mean()
-        .reset_index()
-    )
+def judge_contrasts(plant: Plant, study: Study) -> Judged:
+    keys = ["participant", "recording", "reducer", "item"]
+    means = study.rows.groupby(keys)["rating"].mean().reset_index()
+    means["which"] = "c" + means["reducer"].astype(str)
     groups = "(1|participant) + (1|recording) + (1|item) + (1|participant:recording) + (1|participant:which)"
-    fit = fit_mixed(
-        f"rating ~ 0 + which + {groups}", means.assign(which="c" + means["reducer"].astype(str))
-    )
+    fit = fit_mixed(f"rating ~ 0 + which + {groups}", means)
     ps = []
     for other in range(1, REDUCERS):
         found = contrast(fit, {"whichc0": 1, f"whichc{other}": -1})
@@ -304,21 +265,17 @@ def judge_contrasts(plant: Plant, study: Study) -> Iterator[tuple[str, bool]]:
         yield "finds: contrast of reducers", ps[0] < 0.05
 
 
-def judge_equivalence(
-    numbers: tuple[float, float, float], wanted: float, *, other: int
-) -> Iterator[tuple[str, bool]]:
+def judge_equivalence(numbers: tuple[float, float, float], wanted: float, *, other: int) -> Judged:
     margin = abs(wanted) or 1.0
     test = equivalence(*numbers, low=-margin, high=margin)
     yield f"tost 90 % interval, {other}", test.low90 <= wanted <= test.high90
     if wanted:
         yield f"finds: equivalence at the margin, {other}", test.p < 0.05
-        yield (
-            f"finds: non-inferiority at the margin, {other}",
-            (test.p_low if wanted < 0 else test.p_high) < 0.05,
-        )
+        p = test.p_low if wanted < 0 else test.p_high
+        yield f"finds: non-inferiority at the margin, {other}", p < 0.05
 
 
-def judge_tests(study: Study, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
+def judge_tests(study: Study, rng: np.random.Generator) -> Judged:
     """Tests of the difference between two metrics that predict equally well."""
     columns = np.corrcoef([study.table.mean(axis=1), *study.metrics])
     found = compare_dependent(columns[0, 1], columns[0, 2], columns[1, 2], len(study.recordings))
@@ -331,12 +288,11 @@ def judge_tests(study: Study, rng: np.random.Generator) -> Iterator[tuple[str, b
     yield "finds: difference of slopes", slopes["p"] < 0.05
 
 
-def judge_null(plant: Plant, study: Study, rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
+def judge_null(plant: Plant, study: Study, rng: np.random.Generator) -> Judged:
     """Two attributes, two metrics, and nothing to be found."""
     models = {"one": study, "two": simulate(plant, rng)}
-    table = tabulate_slopes({
-        name: fit_primary(one.rows, ["sm", "tm"]) for name, one in models.items()
-    })
+    fits = {name: fit_primary(one.rows, ["sm", "tm"]) for name, one in models.items()}
+    table = tabulate_slopes(fits)
     yield "finds: slope", table["p"][0] < 0.05
     yield "finds: any of four slopes after Holm", bool((table["p_holm"] < 0.05).any())
     cells = study.rows.groupby(["participant", "item"])[["sm", "rating"]].mean().reset_index()
@@ -346,15 +302,16 @@ def judge_null(plant: Plant, study: Study, rng: np.random.Generator) -> Iterator
     yield "finds: two-way correlation", not found.low <= 0 <= found.high
 
 
-def judge_profile(study: Study) -> Iterator[tuple[str, bool]]:
-    rows = study.rows.assign(
-        scale="realism", level="as_is", role="test", stimulus_id=study.rows["item"]
-    )
-    found = profile_reducers(rows).set_index("reducer").loc[2]
-    yield (
-        "mean of a reducer, these recordings",
-        found["low"] <= study.middle[2::REDUCERS].mean() <= found["high"],
-    )
+def judge_profile(study: Study) -> Judged:
+    named = {
+        "scale": "realism",
+        "level": "as_is",
+        "role": "test",
+        "stimulus_id": study.rows["item"],
+    }
+    found = profile_reducers(study.rows.assign(**named)).set_index("reducer").loc[2]
+    covered = found["low"] <= study.middle[2::REDUCERS].mean() <= found["high"]
+    yield "mean of a reducer, these recordings", covered
 
 
 def run_study(name: str, seed: int) -> dict[str, bool]:
@@ -387,12 +344,11 @@ def make_duels(rng: np.random.Generator, *, raters: int, spread: float) -> pd.Da
     rater, first, second = np.repeat(np.arange(raters), len(pairs)), *np.tile(pairs.T, raters)
     won = rng.random(len(rater)) < 1 / (1 + np.exp(own[rater, second] - own[rater, first]))
     names = np.array(list("abcd"))
-    winner = names[np.where(won, first, second)]
+    met = {"first": names[first], "second": names[second]}
     return pd.DataFrame({
         "participant": rater,
-        "first": names[first],
-        "second": names[second],
-        "winner": winner,
+        **met,
+        "winner": names[np.where(won, first, second)],
     })
 
 
@@ -402,11 +358,10 @@ def find_abilities(spread: float) -> pd.Series:
     return bradley_terry(trials.drop(columns="participant"), reference="a").fixed["estimate"]
 
 
-def judge_duels(rng: np.random.Generator) -> Iterator[tuple[str, bool]]:
+def judge_duels(rng: np.random.Generator) -> Judged:
     trials = make_duels(rng, raters=14, spread=0.6)
-    by_rater = bradley_terry(trials, by_rater=True, reference="a", draws=DRAWS, rng=rng).fixed.loc[
-        "d"
-    ]
+    drawn = bradley_terry(trials, by_rater=True, reference="a", draws=DRAWS, rng=rng)
+    by_rater = drawn.fixed.loc["d"]
     truth = find_abilities(0.6)["d"]
     yield "Bradley-Terry, raters drawn", by_rater["low"] <= truth <= by_rater["high"]
     rows = bradley_terry(trials.drop(columns="participant"), reference="a").fixed.loc["d"]
@@ -428,12 +383,8 @@ def expect(name: str, check: str) -> tuple[float, float]:
     if check.startswith("finds"):
         # Drawing both ways counts noise twice, and a spread of zero can only be estimated too large: where
         # there is nothing but noise, too little is found, never too much.
-        cautious = (
-            "Holm" in check,
-            "margin" in check,
-            name == "plain equal" and ("two-way" in check or "slopes" in check),
-        )
-        return AT_MOST if any(cautious) else TEST
+        is_equal = name == "plain equal" and ("two-way" in check or "slopes" in check)
+        return AT_MOST if "Holm" in check or "margin" in check or is_equal else TEST
     return NINETY if check.startswith("tost") else INTERVAL
 
 
@@ -445,9 +396,8 @@ def test_intervals_cover_and_tests_hold_their_level(name: str) -> None:
     for check in hits.index:
         least, most = expect(name, check)
         # What 400 studies of a share at the edge of its range give in 95 of 100 runs.
-        table.loc[check, "least":"most"] = (
-            binom.ppf([0.025, 0.975], STUDIES, [least, most]) / STUDIES
-        )
+        limits = binom.ppf([0.025, 0.975], STUDIES, [least, most])
+        table.loc[check, "least":"most"] = limits / STUDIES
     print(f"\n{STUDIES} studies, {name}\n{table.round(4).to_string()}")  # noqa: T201 - the figure
     outside = table[~table["share"].between(table["least"], table["most"])]
     assert outside.empty, outside.to_string()
@@ -456,13 +406,10 @@ def test_intervals_cover_and_tests_hold_their_level(name: str) -> None:
 @pytest.mark.soak
 def test_planted_slopes_are_recovered_without_bias() -> None:
     studies = (simulate(CROSSED, np.random.default_rng([seed, 5])) for seed in range(200))
-    found = np.array([
-        fit_primary(study.rows, ["sm", "tm"]).slopes["estimate"] for study in studies
-    ])
-    bias, error = (
-        found.mean(axis=0) - CROSSED.slopes,
-        found.std(axis=0, ddof=1) / np.sqrt(len(found)),
-    )
+    fits = [fit_primary(study.rows, ["sm", "tm"]).slopes["estimate"] for study in studies]
+    found = np.array(fits)
+    bias = found.mean(axis=0) - CROSSED.slopes
+    error = found.std(axis=0, ddof=1) / np.sqrt(len(found))
     print(f"bias per 0.1: {bias / 10}, its standard error {error / 10}")  # noqa: T201 - the figure
     assert (np.abs(bias) < 3 * error).all()
 

@@ -8,12 +8,7 @@ from sklearn.manifold import smacof
 
 from feel321.analysis.report.pairs import compute_space
 from feel321.analysis.resampling import Choices
-from feel321.analysis.space import (
-    align_spaces,
-    fit_space,
-    gather_points,
-    regress_points,
-)  # fmt: skip
+from feel321.analysis.space import align_spaces, fit_space, gather_points, regress_points
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import read_table
 
@@ -45,11 +40,8 @@ def test_distances_are_recovered(dimensions: int) -> None:
 
 def test_a_group_map_recovers_the_planted_one() -> None:
     place, people = make_people()
-    result = align_spaces(
-        fit_space(people, rng=np.random.default_rng(0)).positions,
-        place,
-        rng=np.random.default_rng(1),
-    )
+    group = fit_space(people, rng=0).positions
+    result = align_spaces(group, place, rng=1)
     assert result.correlation > 0.95
     assert result.p == pytest.approx(1 / 2001)
     assert result.aligned == pytest.approx(place, abs=0.8)
@@ -62,9 +54,8 @@ def test_procrustes_is_scipys() -> None:
     one, other = rng.normal(size=(9, 3)), rng.normal(size=(9, 3))
     result = align_spaces(one, other, permutations=5, rng=rng)
     assert result.disparity == pytest.approx(procrustes(other, one)[2])
-    assert ((result.aligned - other) ** 2).sum() == pytest.approx(
-        result.disparity * ((other - other.mean(axis=0)) ** 2).sum()
-    )
+    whole = ((other - other.mean(axis=0)) ** 2).sum()
+    assert ((result.aligned - other) ** 2).sum() == pytest.approx(result.disparity * whole)
 
 
 def test_ellipses_shrink_with_participants_and_follow_the_movement() -> None:
@@ -93,16 +84,13 @@ def test_an_ellipse_by_its_definition() -> None:
     laid = [align_spaces(place, group.positions, permutations=1, rng=rng).aligned for place in maps]
     for stimulus, (long, short) in enumerate(result.ellipses.half_axes):
         covariance = np.cov(np.stack(laid)[:, stimulus].T)
+        least, most = np.linalg.eigvalsh(covariance)
         # 95 % of a plane's normal distribution lie within chi-square(2) = -2 log(.05); P / (P - 1) for P people.
         scale = -2 * np.log(0.05) * 7 / 6
-        assert [long**2, short**2] == pytest.approx(
-            scale * np.linalg.eigvalsh(covariance)[::-1], rel=1e-6
-        )
+        assert [long**2, short**2] == pytest.approx([scale * most, scale * least], rel=1e-6)
         angle = np.radians(result.ellipses.angle[stimulus])
         along = np.array([np.cos(angle), np.sin(angle)])
-        assert along @ covariance @ along == pytest.approx(
-            np.linalg.eigvalsh(covariance)[1], rel=1e-6
-        )
+        assert along @ covariance @ along == pytest.approx(most, rel=1e-6)
 
 
 NAMES = ("saz321", "soc321", "mag321", "dft321", "pca321", "original")
@@ -136,19 +124,16 @@ def test_attributes_that_make_the_axes_are_found_and_chance_is_not(planted: Tabl
     rng = np.random.default_rng(2)
     places, attributes = gather_points(planted.rows, planted.stimuli, rng=rng)
     assert places.shape == (RECORDINGS, len(NAMES), 2)
-    found = pd.DataFrame(regress_points(places, attributes, draws=100, rng=rng)).set_index(
-        "property"
-    )
+    rows = regress_points(places, attributes, draws=100, rng=rng)
+    found = pd.DataFrame(rows).set_index("property")
     assert (found.loc[["temporal_match", "roughness"], "r2"] > 0.9).all()
     # The original has no match of its own: five stimuli are permuted.
     assert found.loc["temporal_match", "p"] <= 3 / 120
     assert found.loc["roughness", "p"] <= 3 / 720
     assert found.loc["chance", "r2"] < 0.5
     # The planted attributes are orthogonal directions of the plane.
-    first, second = (
-        found.loc[name, ["axis_1", "axis_2"]] for name in ("temporal_match", "roughness")
-    )
-    assert abs(float(first.to_numpy(float) @ second.to_numpy(float))) < 0.25
+    axes = found.loc[["temporal_match", "roughness"], ["axis_1", "axis_2"]].to_numpy(float)
+    assert abs(axes[0] @ axes[1]) < 0.25
     # One original among six: its five others may be permuted at will.
     assert found.loc["directions", "p_least"] == pytest.approx(1 / 6)
 
@@ -159,9 +144,8 @@ def test_a_stimulus_without_a_number_is_left_out_of_that_attribute_only(planted:
     stimuli.loc[stimuli["role"] == "reference", "roughness"] = np.nan
     rng = np.random.default_rng(3)
     places, attributes = gather_points(planted.rows, stimuli, rng=rng)
-    found = pd.DataFrame(regress_points(places, attributes, draws=10, rng=rng)).set_index(
-        "property"
-    )
+    rows = regress_points(places, attributes, draws=10, rng=rng)
+    found = pd.DataFrame(rows).set_index("property")
     assert found["n"].to_dict() == {"temporal_match": 20, "chance": 24, "directions": 24, "roughness": 20}  # fmt: skip
     assert found.loc["roughness", "permutations"] == math.factorial(5)
 

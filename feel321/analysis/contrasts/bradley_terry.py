@@ -133,9 +133,7 @@ def bradley_terry(  # noqa: PLR0913 - the model's options, and those of its boot
     source = "95 % Wald interval, comparisons taken for independent"
     notes = [f"{n_ties} ties count half a win for each."] * bool(n_ties)
     if prior:
-        notes.append(
-            f"{prior:g} wins are added to both sides of every row: abilities are shrunken."
-        )
+        notes.append(f"{prior:g} wins are added to both sides of each row: abilities are shrunken.")
     if rater:
         everyone = _count_wins(people[kept], row, every)
         source, freedom = "95 % bootstrap interval over raters", float(len(everyone) - 1)

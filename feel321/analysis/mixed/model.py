@@ -280,9 +280,7 @@ def contrast(fit: MixedFit, weights: Mapping[str, float]) -> Statistic:
     terms = list(fit.fixed.index)
     values = np.array([float(weights.get(name, 0)) for name in terms])
     if not set(weights) <= set(terms) or not np.isfinite(values).all() or not values.any():
-        rule = (
-            f"finite numbers of terms of the model ({', '.join(terms)}), one of them other than 0"
-        )
+        rule = f"finite numbers of terms of the model ({', '.join(terms)}), one of them not 0"
         raise ValueError(f"weights must be {rule}, got {dict(weights)}")
     estimate: Statistic = fit.uncertainty.estimate(values)
     return estimate

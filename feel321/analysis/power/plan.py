@@ -297,11 +297,9 @@ def simulate_studies(
     key = int(sha256(repr(listed).encode()).hexdigest()[:16], 16)
     chunks = [range(start, min(start + CHUNK, studies)) for start in range(0, studies, CHUNK)]
     todo: list[jobs.Job] = [(_fit_studies, (design, [seed, key], places), {}) for places in chunks]
-    steps = count(1)
+    step = count(1)
     progress(0, len(todo))
-    found = jobs.gather_results(
-        todo, workers=workers, done=lambda: progress(next(steps), len(todo))
-    )
+    found = jobs.gather_results(todo, workers=workers, done=lambda: progress(next(step), len(todo)))
     return np.concatenate([np.empty((0, len(design.hypotheses))), *found])
 
 

@@ -106,7 +106,7 @@ def vary_primary(rows: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
         ("correlated slopes", lambda: cells, "", {"correlated": True}),
         ("without reducers", lambda: cells, "", {"reducers": False}),
         *([("without level", cells.ignore_level, "", {})] if COVARIATE in cells.table else []),
-        *_list_rig_variants(rows, metrics, cells),
+        *_vary_rigs(rows, metrics, cells),
         ("rater-standardised", partial(make_cells, scaled[~steady], metrics), note, {}),
         ("logits", partial(make_cells, logits, metrics), "", {}),
     ]
@@ -126,9 +126,7 @@ def vary_primary(rows: pd.DataFrame, metrics: Sequence[str]) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def _list_rig_variants(
-    rows: pd.DataFrame, metrics: Sequence[str], cells: Cells
-) -> Iterator[Variant]:
+def _vary_rigs(rows: pd.DataFrame, metrics: Sequence[str], cells: Cells) -> Iterator[Variant]:
     """Take the metrics of what was delivered; take out what a rig does to ratings; leave each rig out."""
     delivered = {name: rows[name + DELIVERED] for name in metrics if name + DELIVERED in rows}
     if delivered:

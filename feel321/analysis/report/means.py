@@ -15,7 +15,7 @@ import pandas as pd
 from pandas import DataFrame
 
 from feel321.analysis.agreement import SMALLEST
-from feel321.analysis.association import Panel, correlate_items, make_panel
+from feel321.analysis.association import correlate_items, make_panel
 from feel321.analysis.contrasts import compare
 from feel321.analysis.figures import assign_looks, find_cut
 from feel321.analysis.mixed.model import contrast, fit_mixed
@@ -55,7 +55,7 @@ def compute_correlations(table: Table, choices: Choices) -> Found:
     left_out = (table.rows["role"] != "test") & ~table.rows["scale"].isin(APART)
     for role, count in table.rows.loc[left_out, "role"].value_counts().sort_index().items():
         found.notes.append(f"Associations leave out {count} judgements of stimuli with role '{role}'.")  # fmt: skip
-    panels: list[Panel] = []
+    panels: list[Statistic] = []
     told, draws = list[Row](), choices.draws
     for part in split_tests(table):
         rng = choices.make_rng("metrics", *part.place)
@@ -97,7 +97,7 @@ def _write_rows(every: Iterable[Statistic]) -> list[Row]:
     return [{**one, "method": format_method(one.method)} for one in every]
 
 
-def _describe_panel(part: Part, panel: Panel) -> Row:
+def _describe_panel(part: Part, panel: Statistic) -> Row:
     """Gather what the template says of the correlations of one scale and level."""
     leading = [one for one in panel.associations if one.method == LEADING]
     return {
@@ -110,7 +110,7 @@ def _describe_panel(part: Part, panel: Panel) -> Row:
     }  # fmt: skip
 
 
-def _draw(found: Found, shown: Sequence[tuple[Panel, str]], table: Table, *, slug: str) -> None:
+def _draw(found: Found, shown: Sequence[tuple[Statistic, str]], table: Table, *, slug: str) -> None:
     panels = [panel for panel, _ in shown]
     counts = [int(count) for panel in panels for count in panel.stimuli["n_participants"]]
     edges = {name: find_cut(name) for name in table.metrics}

@@ -230,7 +230,8 @@ def name_stimuli(ratings: DataFrame) -> DataFrame:
         return ratings
     if {"recording", "reducer"} <= set(ratings):
         parts = ratings[[name for name in NAMING if name in ratings]]
-        names = parts.astype(str).agg("/".join, axis=1)
+        written = parts.astype(str)
+        names = written.iloc[:, 0].str.cat(written.iloc[:, 1:], sep="/")
         return ratings.assign(**{STIMULUS: names.where(parts.notna().all(axis=1))})
     spoken = next((name for name in SPOKEN if name in ratings), None)
     return ratings.assign(**{STIMULUS: ratings[spoken]}) if spoken else ratings

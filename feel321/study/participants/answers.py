@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from feel321.files import write_table, write_text
+from feel321.files import write_text
 from feel321.protocols.texts import PREFIX, find_question
 from feel321.study.folder import StudyFolder
 from feel321.study.session.events import QuestionAnswered, SessionSuperseded
@@ -34,10 +34,7 @@ _PLACE = ("session", "question", "occasion")
 def write_answers(study: StudyFolder) -> list[Row]:
     """Write all answers of a study, if it has or had any; those of a session begun anew are marked as rejected."""
     rows = [row for one in study.read_people() for row in list_answers(one)]
-    path = study.path / ANSWERS_FILE
-    if rows or path.exists():
-        write_table(path, COLUMNS, rows, private=True)
-        study.share(path)
+    study.write_table(ANSWERS_FILE, COLUMNS, rows, is_optional=True)
     return rows
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, NamedTuple, TypeVar
 
-from feel321.files import hold_lock, make_folder, write_table, write_text
+from feel321.files import hold_lock, make_folder, write_text
 from feel321.study import folder as folders
 from feel321.study.session import events
 from feel321.study.session import plan as plans
@@ -387,10 +387,7 @@ def list_remarks(everybody: Iterable[Progress]) -> Iterator[str]:
 def write_roster(study: folders.StudyFolder, everybody: Sequence[Progress] | None = None) -> Path:
     """Write `participants.csv`: one row per participant, without those who withdrew."""
     everybody = list_progress(study) if everybody is None else everybody
-    path = study.path / ROSTER_FILE
-    write_table(path, *list_roster(everybody), private=True)
-    study.share(path)
-    return path
+    return study.write_table(ROSTER_FILE, *list_roster(everybody))
 
 
 def list_roster(everybody: Sequence[Progress]) -> tuple[list[str], list[dict[str, Any]]]:

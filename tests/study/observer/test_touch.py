@@ -173,6 +173,21 @@ def test_planted_slopes_are_told_beside_the_terms(tmp_path: Path, stimuli: Stimu
 
 
 @pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ('[analysis]\nmetrics = ["spectral_match", "temporal_match"]\n', ["spectral_match", "temporal_match"]),
+        ('[session]\nprotocols = ["similarity"]\n', []),
+    ],
+)  # fmt: skip
+def test_the_declared_metric_is_felt_and_without_realism_nothing_is_planted(
+    tmp_path: Path, stimuli: StimulusSet, text: str, named: list[str]
+) -> None:
+    path = tmp_path / "study.toml"
+    path.write_text(f'[[recordings]]\nscene = "bumps"\n{text}', encoding="utf-8")
+    assert list(regress_planted(read_settings(path), stimuli)[0]) == named
+
+
+@pytest.mark.parametrize(
     ("text", "message"),
     [
         ("mag312 = 45.0", r"^study.toml: observer.reducers must be one of .*did you mean 'mag321'"),

@@ -66,9 +66,6 @@ def test_the_lowest_freed_number_is_given_again(lab: Any, now: Any) -> None:
     assert list(find_doubles(read_holders(lab.study))) == []
 
 
-"""Station, order of asking (+) and leaving (-), and the numbers that a database gave for it; s: simulated."""
-
-
 @pytest.mark.parametrize("block", [1, 2, 6])
 @pytest.mark.parametrize("of", [1, 2, 5])
 def test_shares_of_stations_are_all_numbers_once(of: int, block: int) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from feel321.files import hold_lock
+from feel321.study.cli import main
 from feel321.study.folder import StudyFolder
 from feel321.study.participants.roster import (
     Holder,
@@ -140,6 +141,22 @@ def test_the_slot_is_free_and_the_code_is_not(two: Any, now: Any) -> None:
     ):
         two.claim("p01")
     assert two.claim("p03") == 1
+
+
+def test_withdraw_wants_to_be_meant(
+    two: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = ["withdraw", str(two.study.path), "--participant", "p01"]
+    assert main(command) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "no terminal to ask for confirmation; add --yes" in err
+    monkeypatch.setattr(sys.stdin, "isatty", lambda: True)
+    for answer, expected in (("", 1), ("n", 1), ("y", 0)):
+        monkeypatch.setattr(sys.stdin, "readline", lambda answer=answer: f"{answer}\n")
+        assert main(command) == expected
+        assert (two.study.sessions / "p01" / "plan.json").exists() == (answer != "y")
+        assert ("nothing was removed" in capsys.readouterr().out) == (answer != "y")
 
 
 def test_a_running_session_is_not_pulled_away(two: Any, now: Any) -> None:
