@@ -1,4 +1,4 @@
-"""The base of every result: data frame, dictionary, summary and a one-line repr.
+"""The base of every result: data frame, dictionary, summary and a one-line repr; and the claim of a paper.
 
 A result that other code builds on is a frozen dataclass: `@dataclass(frozen=True, slots=True, repr=False, eq=False)`
 above `class Name(Result)`. What a statistic finds is a `Statistic`, whose values need no class of their own.
@@ -7,9 +7,14 @@ above `class Name(Result)`. What a statistic finds is a `Statistic`, whose value
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, NoReturn, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NoReturn, Self
+
+from annotated_types import Interval
+
+from feel321.arguments import Registry, check_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -171,3 +176,93 @@ def _unpack(value: Any) -> object:  # noqa: ANN401 - what pydantic does not know
     if hasattr(value, "to_frame"):  # a column of pandas, which is not imported for this
         value = value.to_frame()
     return value.reset_index().to_dict("records") if hasattr(value, "reset_index") else str(value)
+
+
+Number = Annotated[float, Interval(ge=-1e9, le=1e9)]
+
+
+# The claims of a paper.
+
+MEASURES: Mapping[str, str] = Registry(
+    "measure",
+    {
+        "metric_of_reducer": "measure_metric",
+        "rating_of_reducer": "measure_rating",
+        "slope": "measure_slope",
+        "one_axis_against_three": "measure_told_apart",
+        "map_attribute": "measure_attribute",
+        "correlation": "measure_correlation",
+        "rating_excess": "measure_rating_excess",
+    },
+)
+"""What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of
+`feel321.analysis.replication`."""
+
+Expectation = Literal["positive", "negative", "near", "highest", "lowest"]
+"""What a paper's claim says of its number: on which side of zero, near the paper's, or above or below all others."""
+
+Provenance = Literal["full text", "abstract", "ours", "unknown"]
+"""Where a statement about a paper was seen."""
+
+OPTIONS = (
+    "scale", "level", "metric", "metrics", "reducer", "among", "recording", "method", "attribute",
+)  # fmt: skip
+"""What a measure may need to know; `scale` and `level` choose the ratings."""
+
+
+class PaperNumber(NamedTuple):
+    """A paper's number and its range; NaN where it is not known."""
+
+    value: Number = math.nan
+    low: Number = math.nan
+    high: Number = math.nan
+
+
+NO_NUMBER = PaperNumber()
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class PaperClaim:
+    """A claim of a paper, `[[paper.claims]]` of study.toml.
+
+    measure: of `MEASURES`. exceptions: reducers that the paper names as exceptions. options: of `OPTIONS`.
+    """
+
+    name: str
+    claim: str
+    source: Provenance
+    measure: str
+    expect: Expectation = "positive"
+    paper: PaperNumber = NO_NUMBER
+    exceptions: tuple[str, ...] = ()
+    options: Mapping[str, str | tuple[str, ...]] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse names that are none, and numbers out of order."""
+        for what in ("name", "claim"):
+            if not getattr(self, what).strip():
+                raise ValueError(f"{what} must not be empty; fill it in")
+        check_name(self.measure, MEASURES, "measure")
+        value, low, high = self.paper
+        if self.expect == "near" and not math.isfinite(low + high):
+            must = "must give the paper's low and high where it expects near"
+            raise ValueError(f"{must}; add paper = {{ low = ..., high = ... }}")
+        known = [one for one in (low, value, high) if not math.isnan(one)]
+        if math.isnan(low) != math.isnan(high) or known != sorted(known):
+            rule = "must have a value, or low and high, or all three in that order"
+            raise ValueError(f"paper {rule}, got {known}")
+        _check_options(self.options)
+        told = {text for text in self.exceptions if text.strip()}
+        if len(told) < len(self.exceptions):
+            rule = "must be different names, none of them empty"
+            raise ValueError(f"exceptions {rule}, got {[*self.exceptions]}")
+
+
+def _check_options(options: Mapping[str, str | tuple[str, ...]]) -> None:
+    for name, own in options.items():
+        check_name(name, OPTIONS, "options")
+        if name != "metrics" and isinstance(own, str) == (name == "among"):
+            what = "a list of names" if name == "among" else "a text"
+            raise ValueError(f"options.{name} must be {what}, got {own!r}")
+        if not all(text.strip() for text in ((own,) if isinstance(own, str) else own)):
+            raise ValueError(f"options.{name} must not be empty; fill it in")

@@ -13,12 +13,11 @@ from feel321.analysis.table.reading import Further
 from feel321.analysis.tradeoff.judge import Context
 from feel321.analysis.tradeoff.page import Tradeoff
 from feel321.protocols.trial import Trials
-from feel321.records import Statistic
+from feel321.records import PaperClaim, Statistic
 from feel321.stimuli.recording import Signal
 from feel321.study.folder import Audit, Problems, Seal
 from feel321.study.power import StudyPower
 from feel321.study.status import Status
-from feel321.types import PaperClaim
 
 __all__ = [
     "About", "Audit", "Context", "Further", "Hypothesis", "MixedFit", "Paper", "PaperClaim", "Primaries",

@@ -32,7 +32,7 @@ from feel321.analysis.table.columns import ROTATIONS
 from feel321.analysis.table.items import Table, recast_pairs, split_tests
 from feel321.analysis.table.schema import PAIRED
 from feel321.arguments import check_name
-from feel321.types import MEASURES, PaperClaim
+from feel321.records import MEASURES, PaperClaim
 
 # Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number.
 AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimable"

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from feel321.arguments import check_name
 from feel321.files import read_small
 from feel321.protocols.trial import Page, Scale
-from feel321.types import Number
+from feel321.records import Number  # noqa: TC001 - pydantic reads it
 
 if TYPE_CHECKING:
     from feel321.types import PathLike

@@ -150,9 +150,8 @@ def _derive_tables(
         *list_remarks(everybody),
         *([f"{said}: {', '.join(methods)}."] if methods else []),
     )
-    return replace(further, notes=notes), max(
-        (one.last_rated[:10] for one in everybody), default=""
-    )
+    last = max((one.last_rated[:10] for one in everybody), default="")
+    return replace(further, notes=notes), last
 
 
 def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Paper | None":
@@ -169,8 +168,6 @@ def make_paper(settings: Settings, mountings: pd.DataFrame | None = None) -> "Pa
     frame = pd.DataFrame(published) if published else None
     return Paper(paper.citation, paper.doi, paper.seen, paper.claims, frame, mountings)
 
-
-Given = Sequence[Recording | Unread]
 
 # How the metrics depend on the way the sensor was mounted. Another orientation would have given another signal and
 # other metrics, though people would have felt the same tool: mean and spread over orientations (Park & Kuchenbecker
@@ -197,10 +194,8 @@ def measure_rotations(
 ) -> Further:
     """Describe the metrics over sensor orientations for every test stimulus; metrics: that the analysis is about."""
     recordings, problems, digests = list[Unread](), list[str](), dict[str, str | None]()
-    recipe, lead = (
-        make_recipe(settings, study.path),
-        "The recordings cannot be read as they were when the set was built",
-    )
+    recipe = make_recipe(settings, study.path)
+    lead = "The recordings cannot be read as they were when the set was built"
     for source, read in try_recordings(settings, study.path):
         if isinstance(read, str):
             problems.append(read)
@@ -239,7 +234,7 @@ def measure_declared(study: StudyFolder, settings: Settings) -> Further | None:
 
 
 def compute_rotations(
-    recordings: Given,
+    recordings: Sequence[Recording | Unread],
     stimuli: StimulusSet,
     *,
     recipe: Recipe,
@@ -331,9 +326,9 @@ def gather_recordings(
             name = next(name for name in chain([one.name], numbered) if name not in taken)
             found.append(replace(one, name=name))
     ready, mistakes = list[Recording](), list[str]()
+    uncropped = replace(recipe.conditioning, crop_s=None)
     for place, recording in enumerate(found):
         try:
-            uncropped = replace(recipe.conditioning, crop_s=None)
             own = find_conditioning(recipe, recording.name) if place < n_own else uncropped
             ready.append(condition(recording, own))
         except ValueError as error:

@@ -29,7 +29,7 @@ from feel321.analysis.resampling import Choices
 from feel321.analysis.table.items import Table
 from feel321.analysis.table.reading import Further, read_table
 from feel321.analysis.words import render_words
-from feel321.types import MEASURES
+from feel321.records import MEASURES
 
 CLAIM = PaperClaim("one", "It is so", "ours", "slope")
 NEAR = replace(CLAIM, expect="near", paper=(0.5, 0.4, 0.6))

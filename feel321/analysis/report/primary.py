@@ -74,7 +74,7 @@ def compute(table: Table, choices: Choices) -> Found:
         ])
         found.verdicts += [{key: one[key] for key in VERDICT} for one in findings]
         _add_rows(found, part, model, influence=influence, slopes=rows)
-        told.append(_describe_part(part, model, influence, findings=findings) | {"sizes": units})
+        told.append(_describe_part(part, model, influence, findings=findings))
     for loss in losses:
         keys = {key: loss[key] for key in ("scale", "level", "subject", "ratings")}
         found.verdicts += [keys | {"metric": name} | BLANK for name in loss["metrics"]]
@@ -243,8 +243,8 @@ def _describe_part(
         "exceptions": [row for row in odd if row["exceptional"]],
         "spreads": list(filter(None, spreads)),
         "unbounded": any(one["metric"] in STAND_INS.values() for one in findings),
-        "n_items": model.n_items, "n_recordings": model.n_recordings,
-        "level": model.level, "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
+        "n_items": model.n_items, "level": model.level,
+        "tried": [kind for kind in kinds if kind != sensitivity.STIMULUS],
     }  # fmt: skip
 
 

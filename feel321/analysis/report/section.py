@@ -253,12 +253,9 @@ class Found:
     def draw(self, figure: str, slug: str, *data: object, says: Row, **options: Any) -> None:  # noqa: ANN401 - of the kind
         """Add a figure that the template declares, to be drawn of data; says: what its caption needs to know."""
         declared = {**read_declared(self.key)[1][figure], **options}
-        kind, detail = (
-            getattr(figures, f"draw_{declared.pop('kind')}"),
-            declared.pop("detail", False),
-        )
+        draw, detail = f"draw_{declared.pop('kind')}", declared.pop("detail", False)
         (caption,) = render_words(self.key, figure, **says)
-        drawing = partial(kind, *data, **declared)
+        drawing = partial(getattr(figures, draw), *data, **declared)
         self.pictures.append(Picture(slug, caption, drawing, detail))
 
     def tell(self, *, claims: bool = False, **facts: object) -> None:
@@ -287,8 +284,7 @@ class Section:
     """A section of the report, declared.
 
     key: its name in paths, anchors and of its template. question: key of the question that it answers. place: module
-    and function, which takes all ratings and the choices. scales: it is about these only; all if empty. front: whether
-    its first sentence stands on the first page.
+    and function, which takes all ratings and the choices. scales: it is about these only; all if empty.
     """
 
     key: str
@@ -296,7 +292,6 @@ class Section:
     question: str
     place: str
     scales: Sequence[str] = ()
-    front: bool = True
 
     @property
     def tables(self) -> Mapping[str, TableForm]:

@@ -385,7 +385,7 @@ def _write(table: Table, results: Results, *, found: Everything, target: Path) -
     for section, one in found.items():
         if section.key in results.answers:
             blocks[section.question].append({
-                "key": section.key, "title": section.title, "front": section.front,
+                "key": section.key, "title": section.title,
                 "lines": results.answers[section.key], "pictures": one.pictures,
                 "tables": [form.show(one.rows[form.name]) for form in list_shown((section, one))],
                 "confirmatory": sum(row["status"] == words.CONFIRMATORY for row in results.verdicts if one.verdicts),

@@ -26,6 +26,7 @@ from feel321.protocols.threshold import (
     name_tone,
 )
 from feel321.protocols.trial import CHOOSING, Breaks, Quality, Rounds, Task
+from feel321.records import NO_NUMBER, PaperClaim, Provenance
 from feel321.stimuli.match import HIGHEST_HZ, LOWEST_HZ, PLANNED
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS, REDUCERS
@@ -45,7 +46,7 @@ from feel321.study.folder import LAST_PARTICIPANT_COLUMNS, PARTICIPANT_COLUMNS, 
 from feel321.study.own_protocols import OURS, name_protocols
 from feel321.study.session.plan import Stale
 from feel321.study.settings import fields as kinds
-from feel321.types import ANCHOR_NAMES, NO_NUMBER, PaperClaim, Provenance
+from feel321.types import ANCHOR_NAMES
 
 _BLOCK = ThresholdBlock("bayesian", (), USUAL)  # whose defaults are the study's
 
