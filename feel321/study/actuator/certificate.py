@@ -336,13 +336,10 @@ def draw_certificate(certificate: Certificate, stem: Path) -> None:
             own = np.interp(at_hz, coil.frequency_hz, coil.response) / coil.target
             left = np.interp(at_hz, coil.frequency_hz, coil.equalised) / coil.target
             inverse = coil.find_filter(at_hz, rate_hz=certificate.rate_hz)
-            for size, name, colour in (
-                (own, "without filter", figures.OKABE_ITO[1]),
-                (inverse, "filter", figures.OKABE_ITO[2]),
-                (left, "with filter", figures.OKABE_ITO[0]),
-            ):
-                level_db = 20 * np.log10(np.maximum(np.abs(size), 1e-9))
-                axes.plot(at_hz, np.maximum(level_db, FLOOR_DB), color=colour, label=name)
+            names = ("without filter", "filter", "with filter")
+            for name, size, hue in zip(names, (own, inverse, left), (1, 2, 0), strict=True):
+                level_db = np.maximum(20 * np.log10(np.maximum(np.abs(size), 1e-9)), FLOOR_DB)
+                axes.plot(at_hz, level_db, color=figures.OKABE_ITO[hue], label=name)
             grey = {"color": figures.GREY, "alpha": 0.2, "linewidth": 0}
             axes.fill_between(coil.band_hz, -most_db, most_db, label="limits", **grey)
             axes.set(xscale="log", ylabel="Level (dB)", ylim=(FLOOR_DB - 2, None), xmargin=0)
