@@ -77,7 +77,7 @@ def test_the_sentence_as_it_is_read() -> None:
     assert say([blank]).endswith("cannot be estimated with 3 people and 4 reducers.")
     lost = make_card("realism", "spectral_match", "open", beyond_level="lost")
     assert say([lost]).endswith(
-        "without level in the model spectral match would predict realism ratings."
+        "without level in the model realism ratings would go with spectral match."
     )
 
 
