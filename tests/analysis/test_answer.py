@@ -187,3 +187,21 @@ def test_the_first_line_on_correlations_says_what_they_are_and_that_they_are_not
     )
     assert "That is another question than the slopes answer" in first
     assert not any("another question" in line for line in rest)
+
+
+PAIR = {"subject": "Realism", "differ": 1, "n_pairs": 36, "same": [], "margin": None, "hint": []}
+
+
+@pytest.mark.parametrize(
+    ("name", "macro", "facts", "said"),
+    [
+        ("contrasts", "lines", {"parts": [PAIR]}, "1 of 36 pairs of reducers differs after"),
+        ("discrimination", "clause", {"apart": 1, "n": 3}, "1 of 3 reducers and anchors was distinguished"),
+        ("told_apart", "lines", {"parts": [{"level": "", "apart": [], "n": 1, "rest": ["mag321"]}]},
+         "for 0 of 1 reducers. No difference was shown for mag321"),
+    ],
+)  # fmt: skip
+def test_one_and_none_are_said_as_such(
+    name: str, macro: str, facts: dict[str, Any], said: str
+) -> None:
+    assert said in " ".join(render_words(name, macro, **facts))
