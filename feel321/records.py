@@ -10,11 +10,9 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NoReturn, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, NoReturn, Self, get_args
 
 from annotated_types import Interval
-
-from feel321.arguments import Registry, check_name
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -183,20 +181,17 @@ Number = Annotated[float, Interval(ge=-1e9, le=1e9)]
 
 # The claims of a paper.
 
-MEASURES: Mapping[str, str] = Registry(
-    "measure",
-    {
-        "metric_of_reducer": "measure_metric",
-        "rating_of_reducer": "measure_rating",
-        "slope": "measure_slope",
-        "one_axis_against_three": "measure_told_apart",
-        "map_attribute": "measure_attribute",
-        "correlation": "measure_correlation",
-        "rating_excess": "measure_rating_excess",
-    },
-)
-"""What a paper's claim can be examined with: the name that `[[paper.claims]]` gives -> function of
-`feel321.analysis.replication`."""
+Measure = Literal[
+    "metric_of_reducer", "rating_of_reducer", "slope", "one_axis_against_three", "map_attribute", "correlation",
+    "rating_excess",
+]  # fmt: skip
+"""What a paper's claim can be examined with."""
+
+MEASURES: Mapping[str, str] = dict(zip(get_args(Measure), (
+    "measure_metric", "measure_rating", "measure_slope", "measure_told_apart", "measure_attribute",
+    "measure_correlation", "measure_rating_excess",
+), strict=True))  # fmt: skip
+"""The function of `feel321.analysis.replication` for each."""
 
 Expectation = Literal["positive", "negative", "near", "highest", "lowest"]
 """What a paper's claim says of its number: on which side of zero, near the paper's, or above or below all others."""
@@ -204,9 +199,9 @@ Expectation = Literal["positive", "negative", "near", "highest", "lowest"]
 Provenance = Literal["full text", "abstract", "ours", "unknown"]
 """Where a statement about a paper was seen."""
 
-OPTIONS = (
-    "scale", "level", "metric", "metrics", "reducer", "among", "recording", "method", "attribute",
-)  # fmt: skip
+Option = Literal[
+    "scale", "level", "metric", "metrics", "reducer", "among", "recording", "method", "attribute"
+]
 """What a measure may need to know; `scale` and `level` choose the ratings."""
 
 
@@ -225,24 +220,22 @@ NO_NUMBER = PaperNumber()
 class PaperClaim:
     """A claim of a paper, `[[paper.claims]]` of study.toml.
 
-    measure: of `MEASURES`. exceptions: reducers that the paper names as exceptions. options: of `OPTIONS`.
+    exceptions: reducers that the paper names as exceptions.
     """
 
     name: str
     claim: str
     source: Provenance
-    measure: str
+    measure: Measure
     expect: Expectation = "positive"
     paper: PaperNumber = NO_NUMBER
     exceptions: tuple[str, ...] = ()
-    options: Mapping[str, str | tuple[str, ...]] = dataclasses.field(default_factory=dict)
+    options: Mapping[Option, str | tuple[str, ...]] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse names that are none, and numbers out of order."""
-        for what in ("name", "claim"):
-            if not getattr(self, what).strip():
-                raise ValueError(f"{what} must not be empty; fill it in")
-        check_name(self.measure, MEASURES, "measure")
+        if empty := [what for what in ("name", "claim") if not getattr(self, what).strip()]:
+            raise ValueError(f"{empty[0]} must not be empty; fill it in")
         value, low, high = self.paper
         if self.expect == "near" and not math.isfinite(low + high):
             must = "must give the paper's low and high where it expects near"
@@ -251,18 +244,13 @@ class PaperClaim:
         if math.isnan(low) != math.isnan(high) or known != sorted(known):
             rule = "must have a value, or low and high, or all three in that order"
             raise ValueError(f"paper {rule}, got {known}")
-        _check_options(self.options)
+        for name, own in self.options.items():
+            if name != "metrics" and isinstance(own, str) == (name == "among"):
+                what = "a list of names" if name == "among" else "a text"
+                raise ValueError(f"options.{name} must be {what}, got {own!r}")
+            if not all(text.strip() for text in ((own,) if isinstance(own, str) else own)):
+                raise ValueError(f"options.{name} must not be empty; fill it in")
         told = {text for text in self.exceptions if text.strip()}
         if len(told) < len(self.exceptions):
             rule = "must be different names, none of them empty"
             raise ValueError(f"exceptions {rule}, got {[*self.exceptions]}")
-
-
-def _check_options(options: Mapping[str, str | tuple[str, ...]]) -> None:
-    for name, own in options.items():
-        check_name(name, OPTIONS, "options")
-        if name != "metrics" and isinstance(own, str) == (name == "among"):
-            what = "a list of names" if name == "among" else "a text"
-            raise ValueError(f"options.{name} must be {what}, got {own!r}")
-        if not all(text.strip() for text in ((own,) if isinstance(own, str) else own)):
-            raise ValueError(f"options.{name} must not be empty; fill it in")

@@ -365,7 +365,8 @@ def tell_apart(apart: DataFrame, same: DataFrame) -> Statistic:
 
 def infer_mean(values: Sequence[float]) -> tuple[float, float, float, float]:
     """Average over units: mean, standard error, their number in a 95 % interval, p of a mean of 0."""
-    n, mean = len(values), float(np.mean(values))
+    n = len(values)
+    mean = float(np.mean(values)) if n else math.nan
     if n < LEAST:
         return mean, math.nan, math.nan, math.nan
     error = float(np.std(values, ddof=1)) / math.sqrt(n)

@@ -32,7 +32,7 @@ from feel321.analysis.table.columns import ROTATIONS
 from feel321.analysis.table.items import Table, recast_pairs, split_tests
 from feel321.analysis.table.schema import PAIRED
 from feel321.arguments import check_name
-from feel321.records import MEASURES, PaperClaim
+from feel321.records import MEASURES, Option, PaperClaim
 
 # Verdicts: the interval lies where the paper says, or elsewhere, or holds both; or there is no number.
 AGREES, DIFFERS, OPEN, NOT_ESTIMABLE = "agrees", "differs", "open", "not_estimable"
@@ -207,7 +207,7 @@ def describe_nearest(beside: Mapping[str, Ends], *, upward: bool, kind: str) -> 
     return f"{value} {'higher' if way > 0 else 'lower'} than {other}{told}"
 
 
-def require_option(claim: PaperClaim, name: str) -> str:
+def require_option(claim: PaperClaim, name: Option) -> str:
     """Take an option that a measure cannot do without."""
     if name not in claim.options:
         raise ValueError(f"options must name a {name}; add {name} = ... to the claim {claim.name}")

@@ -85,15 +85,20 @@ def weighted_pearson(x: Values, y: Values, *, weights: Values) -> Values:
     """
     # Divided by a power of two, which is exact, so that no square overflows.
     x, y = (np.ldexp(one, -np.frexp(np.abs(one).max(axis=-1, keepdims=True))[1]) for one in (x, y))
-    x, y, weights = np.broadcast_arrays(x, y, weights)
-    total = weights.sum(axis=-1, keepdims=True)
+    total = weights.sum(axis=-1)
+
+    def add(one: Values, other: Values) -> Values:
+        return np.asarray(np.einsum("...i,...i->...", one, other))
+
     with np.errstate(invalid="ignore", divide="ignore"):
-        from_mean_x = x - (weights * x).sum(axis=-1, keepdims=True) / total
-        from_mean_y = y - (weights * y).sum(axis=-1, keepdims=True) / total
-        xx, yy = (weights * from_mean_x**2).sum(axis=-1), (weights * from_mean_y**2).sum(axis=-1)
-        flat_x = xx <= FLAT * (weights * x**2).sum(axis=-1)
-        flat_y = yy <= FLAT * (weights * y**2).sum(axis=-1)
-        r = (weights * from_mean_x * from_mean_y).sum(axis=-1) / (np.sqrt(xx) * np.sqrt(yy))
+        mean_x, mean_y = (add(weights, one) / total for one in (x, y))
+        from_mean_x, from_mean_y = x - mean_x[..., None], y - mean_y[..., None]
+        weighted_x, weighted_y = weights * from_mean_x, weights * from_mean_y
+        xx, yy = add(weighted_x, from_mean_x), add(weighted_y, from_mean_y)
+        # By the law of parallel axes, what the squares of the values themselves add up to.
+        flat_x = xx <= FLAT * (xx + total * mean_x**2)
+        flat_y = yy <= FLAT * (yy + total * mean_y**2)
+        r = add(weighted_x, from_mean_y) / (np.sqrt(xx) * np.sqrt(yy))
     return np.where(flat_x | flat_y, np.nan, np.clip(r, -1, 1))
 
 
@@ -104,7 +109,9 @@ def weighted_spearman(x: Values, y: Values, *, weights: Values) -> Values:
 
 def weighted_ranks(values: Values, weights: Values) -> Values:
     """Mid-ranks, from 1, along the last axis of a sample in which each item occurs as often as its weight says."""
-    # In order before they are repeated for every draw: a metric is the same in all.
+    if values.ndim == 1:  # a metric, the same in all draws: who is below whom is known once
+        below = (values < values[:, None]) + 0.5 * (values == values[:, None])
+        return np.asarray(weights @ below.T + 0.5)
     order = np.argsort(values, axis=-1, kind="stable")
     ordered = np.take_along_axis(values, order, axis=-1)
     shape = np.broadcast_shapes(values.shape, weights.shape)

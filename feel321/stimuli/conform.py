@@ -13,7 +13,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -166,24 +166,19 @@ def _check_elsewhere(own: OwnReducer | OwnMetric) -> str:
         last = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         raise ValueError(f"fails in a second process: {last}")
     if done.stdout.decode().split()[-1] != digest_result(method):
-        raise ValueError("a second process gives another result: random numbers need a fixed seed, and nothing may "
-                         "depend on the order of sets")  # fmt: skip
+        need = "random numbers need a fixed seed, and nothing may depend on the order of sets"
+        raise ValueError(f"a second process gives another result: {need}")
     return "the same in a second process"
 
 
-_Checks: TypeAlias = "dict[str, Callable[[Any], str]]"
-_QUICK: dict[str, _Checks] = {
+CHECKS: dict[str, dict[str, Callable[[Any], str]]] = {
     "reducer": {
         "shape": _check_shapes, "silence": _check_silence, "repeats": _check_repeats, "scaling": _check_scaling,
-    },
-    "metric": {"returns": _check_metric, "repeats": _check_repeats},
-}  # fmt: skip
-_SLOW: dict[str, _Checks] = {
-    "reducer": {
         "second process": _check_elsewhere, "batches": _check_batches, "streaming": _check_stream,
     },
-    "metric": {"second process": _check_elsewhere},
+    "metric": {"returns": _check_metric, "repeats": _check_repeats, "second process": _check_elsewhere},
 }  # fmt: skip
+SLOW = frozenset({"second process", "batches", "streaming"})
 
 
 def check_method(method: Method, *, quick: bool = False) -> list[Checked]:
@@ -192,8 +187,10 @@ def check_method(method: Method, *, quick: bool = False) -> list[Checked]:
     if not found[0].passed:
         return found
     own = OwnReducer(method) if method.kind == "reducer" else OwnMetric(method)
-    checks = _QUICK[method.kind] | ({} if quick else _SLOW[method.kind])
-    return found + [_try(name, check, own) for name, check in checks.items()]
+    wanted = {
+        name: one for name, one in CHECKS[method.kind].items() if not (quick and name in SLOW)
+    }
+    return found + [_try(name, check, own) for name, check in wanted.items()]
 
 
 def _try(name: str, check: Callable[[Any], str], tried: object) -> Checked:

@@ -32,6 +32,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -132,7 +133,7 @@ class OriginalSpectrum:
     """
 
     def __init__(self, samples: Samples, rate_hz: float) -> None:
-        n = samples.shape[-1]
+        self._samples, n = samples, samples.shape[-1]
         frequencies = linear_grid(n, rate_hz)
         self._smooth = WeberSmoothing(frequencies, rate_hz / n, n // 2 + 1)
         # Axis by axis: three spectra at once cost more in fresh memory than they save in calls.
@@ -174,7 +175,7 @@ class OriginalSpectrum:
             highest_hz=float(used[-1]) if len(used) else np.nan,
             n_frequencies=len(used),
             n_left_out=self.n_left_out,
-            bounded=float(self._relate_bounded(reduced, difference)),
+            bounded=float(self._relate_bounded(np.einsum("n,n->", reduced, reduced), difference)),
             reason=self.reason,
             frequencies_hz=used,
             energy=self.smoothed,
@@ -189,7 +190,25 @@ class OriginalSpectrum:
     def match_both(self, reduced: Samples) -> tuple[Samples, Samples]:
         """Spectral match and bounded spectral match, from one spectrum of each reduced signal."""
         difference = self._subtract(reduced)
-        return self._relate(difference), self._relate_bounded(reduced, difference)
+        energy = np.einsum("...n,...n->...", reduced, reduced)
+        return self._relate(difference), self._relate_bounded(energy, difference)
+
+    def match_sums(self, weights: Samples, energy: Samples) -> tuple[Samples, Samples]:
+        """Match weighted sums of the axes as `match_both`, without their spectra; weights: (..., 3), energy: (...)."""
+        first, second = np.triu_indices(recording.AXES)
+        own = np.where(first == second, 1.0, 0.0)
+        shares = (2 - own) * (own - weights[..., first] * weights[..., second])
+        difference = shares @ self._products
+        return self._relate(difference), self._relate_bounded(energy, difference)
+
+    @cached_property
+    def _products(self) -> Samples:
+        """Smoothed products of the spectra of every two axes, (6, n_frequencies)."""
+        from scipy import fft
+
+        first, second = np.triu_indices(recording.AXES)
+        spectra = fft.rfft(self._samples)[..., self._smooth.bins]
+        return self._smooth((spectra[first] * spectra[second].conj()).real)
 
     def _subtract(self, reduced: Samples) -> Samples:
         """Smoothed energy of the recording minus that of the reduced signals, shape (..., n_frequencies)."""
@@ -204,9 +223,9 @@ class OriginalSpectrum:
         np.divide(np.abs(difference), self._smoothed, out=share, where=self._used)
         return np.where(count > 0, 1.0 - share.sum(axis=-1) / np.maximum(count, 1), np.nan)
 
-    def _relate_bounded(self, reduced: Samples, difference: Samples) -> Samples:
+    def _relate_bounded(self, energy: Samples, difference: Samples) -> Samples:
         strongest = self._smoothed + np.maximum(-difference, 0.0)  # max(E, S) = E + max(S - E, 0)
-        energy = np.maximum(np.einsum("...n,...n->...", reduced, reduced), self._energy)
+        energy = np.maximum(energy, self._energy)
         used = self._used | (strongest > NUMERICAL_FLOOR * energy[..., None])
         deviation = np.zeros_like(strongest)
         np.divide(np.abs(difference), strongest, out=deviation, where=used)

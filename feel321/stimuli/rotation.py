@@ -48,6 +48,7 @@ LEAST_ROTATIONS = 200
 # Of rotated copies made at a time: enough to amortise calls and to transform several signals in one.
 _SAMPLES_AT_A_TIME = 1_000_000
 
+_LEFT = 1e-12  # Share of an output's energy below which what the axes leave of it is rounding
 SAME = 1e-9  # Outputs that differ by less than this share of their amplitude are the same
 # A band whose amplitude is below this share of the signals' is the rounding error of the transforms.
 _ROUNDING = 32 * np.finfo(np.float64).eps
@@ -197,32 +198,37 @@ def match_rotations(
         raise ValueError(f"{must}; got {samples.shape}")
     reduce = [REDUCERS.find(one) for one in reducers]
     original = OriginalSpectrum(samples, rate_hz)
+    inverse = np.linalg.pinv(samples @ samples.T, hermitian=True)
     found = np.empty((len(reduce), 3, len(turns)))
     per_batch = max(2, _SAMPLES_AT_A_TIME // samples.size)
-    kept: dict[
-        int, Samples
-    ] = {}  # outputs that turning the sensor only negates: reduced once, which scores alike
+    kept: dict[int, Samples] = {}  # outputs that turning the sensor only negates
     for start in range(0, len(turns), per_batch):
         few = turns[start : start + per_batch]
         turned = np.einsum("rij,jn->rin", few, samples)
         energies = np.einsum("rin,rin->ri", turned, turned)
         for place, one in enumerate(reduce):
-            # A lab's own function need not take many recordings at once.
-            if place in kept:
-                reduced = kept[place]
-            elif one in REDUCERS.values():
-                reduced = one(turned, rate_hz)
-            else:
-                reduced = np.stack([one(t, rate_hz) for t in turned])
+            reduced = kept[place] if place in kept else _reduce_each(one, turned, rate_hz)
             if start == 0 and len(few) > 1 and _are_alike(reduced):
                 kept[place] = reduced[:1]
-            together = np.einsum("rij,rj->ri", few, reduced @ samples.T)
-            energy = np.einsum("rn,rn->r", reduced, reduced)
+            along, energy = reduced @ samples.T, np.einsum("rn,rn->r", reduced, reduced)
+            together = np.einsum("rij,rj->ri", few, along)
             temporal = mean_over_axes(relate_axes(together, energies, energy))
-            spectral, bounded = original.match_both(reduced)
+            weights = along @ inverse
+            left = energy - (weights * along).sum(axis=-1)  # of what is no weighted sum of the axes
+            if (np.abs(left) <= _LEFT * energy).all():
+                spectral, bounded = original.match_sums(weights, energy)
+            else:
+                spectral, bounded = original.match_both(reduced)
             scores = np.broadcast_arrays(spectral, temporal, bounded)
             found[place, :, start : start + len(few)] = scores
     return found
+
+
+def _reduce_each(reducer: Reducer, turned: Samples, rate_hz: float) -> Samples:
+    """Reduce many recordings; a lab's own function need not take several at once."""
+    if reducer in REDUCERS.values():
+        return reducer(turned, rate_hz)
+    return np.stack([reducer(one, rate_hz) for one in turned])
 
 
 def _are_alike(outputs: Samples) -> bool:

@@ -31,7 +31,6 @@ from feel321.files import (
 from feel321.records import to_json_value
 from feel321.stimuli.match import HIGHEST_HZ
 from feel321.stimuli.sets.manifest import read_details, read_stimuli
-from feel321.study.actuator.certificate import list_certificates, read_certificate
 from feel321.study.analyze import read_study_table
 from feel321.study.evidence.checkpoints import find_newest
 from feel321.study.evidence.freeze import list_info, read_frozen
@@ -328,8 +327,12 @@ def make_methods(study: StudyFolder, results: Mapping[str, Any], *, is_dated: bo
     filters = (("high", "high_pass_hz"), ("low", "low_pass_hz"))
     steps = ((word, recipe["conditioning"].get(key)) for word, key in filters)
     used = {one.calibration for one in list_progress(study) if one.calibration}
-    found = [read_certificate(path) for path in list_certificates(study.calibration)]
-    certificates = [one for one in found if one.id in used]
+    certificates = []
+    if used:
+        from feel321.study.actuator.certificate import list_certificates, read_certificate
+
+        found = map(read_certificate, list_certificates(study.calibration))
+        certificates = [one for one in found if one.id in used]
     usual = {name: f"[{name}]" for name in ("metrics", "draws", "seed", "margin")}
     flags = [one for one in results["numbers"] if one["quantity"] == "n_flagged"]
     return render(

@@ -95,6 +95,11 @@ class StudyFolder:
         return self.path / "rig.toml"
 
     @property
+    def frozen(self) -> Path:
+        """What was decided before the ratings."""
+        return self.path / "frozen.json"
+
+    @property
     def stimuli(self) -> Path:
         """The stimulus set."""
         return self.path / "stimuli"

@@ -199,7 +199,7 @@ def _get_rig(room: Room) -> rigs.Rig:
 def open_lab(plan: Plan, journal: Journal, *, room: Room) -> Iterator[Presenter]:
     """Open the actuators and the screen, and close both whatever happens."""
     from feel321.study.screen.input import make_screen_texts
-    from feel321.study.screen.presenter import ScreenPresenter
+    from feel321.study.screen.presenter import PressingHand, ScreenPresenter
     from feel321.study.screen.window import open_screen
 
     settings, keys, folder = room.settings, _get_rig(room).keys, room.study.path
@@ -213,8 +213,6 @@ def open_lab(plan: Plan, journal: Journal, *, room: Room) -> Iterator[Presenter]
         window = stack.enter_context(screen)
         hand = None
         if (casting := room.casting) is not None:
-            from feel321.study.screen.input import PressingHand
-
             person = find_person(plan.participant)
             mind = Participant(casting.model, seed=casting.seed, number=person)
             hand = PressingHand(mind, clock=clock, keys=keys)

@@ -1,9 +1,8 @@
 """`simulate`: sessions of simulated participants: who takes part, what is planted, and many of them side by side."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
-from functools import partial
+from contextlib import AbstractContextManager, nullcontext
 from itertools import count, islice
 from threading import Event, Lock
 
@@ -119,6 +118,11 @@ def _run_sessions(
     total = sum(trial.phase == "main" for plan in plans for trial in plan.trials)
     done, counting, stop = dict.fromkeys(names, 0), Lock(), Event()
 
+    def sit(plan: Plan, journal: Journal) -> AbstractContextManager[Presenter]:
+        person, elapsed_s = find_person(plan.participant), journal.records.find_elapsed()
+        observer = SimulatedObserver(casting.model, seed=seed, number=person, elapsed_s=elapsed_s)
+        return nullcontext(observer)
+
     def run(plan: Plan) -> str:
         def take(number: int) -> None:
             if stop.is_set():
@@ -132,7 +136,7 @@ def _run_sessions(
             room,
             plan,
             identity=make_identity(settings, room.study.path, casting.identity),
-            make_presenter=partial(_make_observer, casting=casting),
+            make_presenter=sit,
             on_step=lambda place: take(place.done),
         )
         return notice
@@ -152,9 +156,3 @@ def list_participants(study: StudyFolder, number: int) -> list[str]:
     folders = (study.sessions / f"sim{place:03d}" for place in count(1))
     known = ((folder.name, read_holder(folder)) for folder in folders)
     return list(islice((name for name, own in known if not own or own.state == PLANNED), number))
-
-
-@contextmanager
-def _make_observer(plan: Plan, journal: Journal, *, casting: Casting) -> Iterator[Presenter]:
-    person, elapsed_s = find_person(plan.participant), journal.records.find_elapsed()
-    yield SimulatedObserver(casting.model, seed=casting.seed, number=person, elapsed_s=elapsed_s)

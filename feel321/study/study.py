@@ -377,7 +377,6 @@ class Study(OpenStudy):
         rehearsals : bool
             Rehearsals instead of sessions.
         """
-        from feel321.study.evidence.freeze import describe_frozen
         from feel321.study.status import read_status, watch_study
 
         folder = self.choose(rehearsals)
@@ -387,8 +386,11 @@ class Study(OpenStudy):
             watch_study(folder, as_path(watch), now=self.now)
         with follow(self.progress, "status") as step:
             found = read_status(folder, progress=step)
-        frozen = "" if rehearsals else describe_frozen(folder)
-        return replace(found, frozen=frozen, shows_notes=notes)
+        if folder.frozen.exists() and not rehearsals:
+            from feel321.study.evidence.freeze import describe_frozen
+
+            found = replace(found, frozen=describe_frozen(folder))
+        return replace(found, shows_notes=notes)
 
     def note(
         self, text: options.Text, *, participant: options.Code, rehearsals: bool = False

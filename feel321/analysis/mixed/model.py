@@ -136,12 +136,8 @@ class Solved(NamedTuple):
 
 def solve_design(
     design: MixedDesign,
-    *,
-    reml: bool = True,
-    penalty: Sequence[str] = (),
-    most_df: float = np.inf,
-    near: Samples | None = None,
-) -> Solved:
+    *, reml: bool = True, penalty: Sequence[str] = (), most_df: float = np.inf, near: Samples | None = None,
+) -> Solved:  # fmt: skip
     """Minimise a design's deviance; near: theta of the same terms on much the same data."""
     profile = optimum.Profile(design, reml=reml, penalty=penalty)
     with optimum.hold_threads(profile.n_random):

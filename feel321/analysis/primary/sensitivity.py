@@ -57,13 +57,9 @@ Variant = tuple[str, Callable[[], Cells], str, dict[str, bool]]  # Name, cells, 
 
 
 def _fit(
-    make: Callable[[], Cells],
-    metrics: Sequence[str],
-    *,
-    correlated: bool = False,
-    reducers: bool = True,
-    near: Slopes | None = None,
-) -> tuple[pd.DataFrame, str, Slopes | None]:
+    make: Callable[[], Cells], metrics: Sequence[str],
+    *, correlated: bool = False, reducers: bool = True, near: Slopes | None = None,
+) -> tuple[pd.DataFrame, str, Slopes | None]:  # fmt: skip
     """Fit the slopes; also what their model lacks. NaN, the reason and None where the rows carry no model."""
     try:
         found = fit_slopes(make(), correlated=correlated, reducers=reducers, near=near)

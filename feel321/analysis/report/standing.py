@@ -100,11 +100,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What a report's first screen says of the study.
-
-    date: day of the last rating, as 2026-03-01; empty if unknown. protocols: in the order in which the report shows
-    their scales.
-    """
+    """What a report's first screen says of the study; date: day of the last rating; protocols: in the order shown."""
 
     name: str = ""
     date: str = ""

@@ -184,12 +184,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
         If the tables cannot be analysed; names the file and the lines.
     OSError
         If a file cannot be read or written, or would replace one that is not of a former report.
-
-    Examples
-    --------
-    >>> from feel321 import analysis
-    >>> results = analysis.write_report("ratings.csv", "manifest.csv", "report")  # doctest: +SKIP
-    >>> print(results.headline)  # doctest: +SKIP
     """
     chosen, about = Choices(draws=draws, margin=margin, seed=as_seed(rng)), about or About()
     check_target(target := as_path(folder, "folder"))

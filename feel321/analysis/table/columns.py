@@ -15,7 +15,7 @@ import csv
 import json
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import fields, replace
 from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
@@ -204,8 +204,7 @@ DERIVED: Mapping[str, tuple[str, str]] = {
 UNITLESS = {"df", "t", "p", "step"}
 
 
-@dataclass(frozen=True, slots=True)
-class Variable:
+class Variable(NamedTuple):
     """A column of a file, as the dictionary describes it."""
 
     file: str
@@ -229,9 +228,9 @@ def make_dictionary(
     tables: Mapping[str, DataFrame], info: Mapping[str, MetricInfo] | None = None
 ) -> DataFrame:
     """Describe the columns of tables by file, such as ``tradeoff/points.csv``; info: what further metrics declare."""
-    itself = pd.DataFrame([asdict(read_dictionary()[0])])
+    itself = pd.DataFrame(read_dictionary()[:1])
     return pd.DataFrame(
-        asdict(describe_column(file, str(name), frame[name], info=info or {}))
+        describe_column(file, str(name), frame[name], info=info or {})
         for file, frame in {**tables, DICTIONARY: itself}.items()
         for name in frame
     )
@@ -246,7 +245,7 @@ def describe_column(
     kinds = {"flag": is_bool_dtype, "integer": is_integer_dtype, "number": is_numeric_dtype}
     kind = next((name for name, is_kind in kinds.items() if is_kind(values)), "text")
     found = next(_find(file, column, info), Variable(file, column, kind))
-    return replace(found, file=file.rsplit("/", 1)[-1], column=column)
+    return found._replace(file=file.rsplit("/", 1)[-1], column=column)
 
 
 @cache

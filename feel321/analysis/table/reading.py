@@ -110,17 +110,6 @@ def read_table(
     -------
     Table
         The rows, and notes on them.
-
-    Examples
-    --------
-    >>> import pandas as pd
-    >>> from feel321 import analysis
-    >>> ratings = pd.DataFrame({"participant": list("aabb"), "stimulus_id": list("xyxy"), "scale": "realism",
-    ...     "trial": [1, 2, 1, 2], "rating": [20, 70, 30, 90]})
-    >>> manifest = pd.DataFrame({"stimulus_id": list("xy"), "recording": "tap", "reducer": ["mag321", "dft321"],
-    ...     "level": "as_is", "role": "test", "temporal_match": [0.2, 0.9]})
-    >>> analysis.read_table(ratings, manifest).metrics
-    ('temporal_match',)
     """
     if manifest is None:
         ratings, manifest = find_tables(ratings)

@@ -24,17 +24,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321 import files
 from feel321.arguments import check_rate
-from feel321.files import (
-    LIMIT,
-    TooLargeError,
-    check_bytes,
-    clip,
-    open_regular,
-    read_bytes,
-    read_limit,
-    read_small,
-)
 from feel321.stimuli.formats import tables
 from feel321.stimuli.recording import AXES
 from feel321.stimuli.wav import read_wav, read_wav_header
@@ -51,18 +42,18 @@ CHILD_S = 300.0  # So long may a MATLAB file take to be read
 
 def read_npz(path: Path, wanted: Columns) -> tables.Decoded:
     """Read an NPZ archive by the names of its arrays."""
-    content = io.BytesIO(read_bytes(path))
+    content = io.BytesIO(files.read_bytes(path))
     with tables.foreign_errors("an NPZ archive"):
         archive = np.load(content, allow_pickle=False)
         # What the directory promises; no more is read of any array.
-        check_bytes(sum(one.file_size for one in archive.zip.infolist()), "its arrays")
+        files.check_bytes(sum(one.file_size for one in archive.zip.infolist()), "its arrays")
         arrays = {name: np.asarray(array) for name, array in archive.items()}
     return _decode(arrays, wanted)
 
 
 def read_npy(path: Path, _: None) -> tables.Decoded:
     """Read a single array."""
-    content = io.BytesIO(read_bytes(path))
+    content = io.BytesIO(files.read_bytes(path))
     with tables.foreign_errors("an NPY array"):
         array = np.load(content, allow_pickle=False)
     return tables.Decoded(tables.as_three_axes(_as_numbers(array, "the array")))
@@ -70,9 +61,9 @@ def read_npy(path: Path, _: None) -> tables.Decoded:
 
 def read_mat(path: Path, wanted: Columns) -> tables.Decoded:
     """Read a MATLAB file of version 4 to 7 by the names of its variables."""
-    with open_regular(path):
-        limit = read_limit()
-    check_bytes(path.stat().st_size, path.name)
+    with files.open_regular(path):
+        limit = files.read_limit()
+    files.check_bytes(path.stat().st_size, path.name)
     child = str(Path(__file__).with_name("matlab.py"))
     words = [sys.executable, "-P", child, os.path.abspath(path), str(limit)]  # noqa: PTH100 - links stay as they are
     one_thread = os.environ | {"OPENBLAS_NUM_THREADS": "1"}  # each maps memory of its own
@@ -83,10 +74,10 @@ def read_mat(path: Path, wanted: Columns) -> tables.Decoded:
             raise ValueError(f"it takes longer than {CHILD_S:g} s") from None
         said = done.stderr.decode(errors="replace").strip().rpartition("\n")[2]
         if done.returncode and said.startswith("MemoryError"):
-            how = f"keep the recording alone, or set a larger {LIMIT} in the environment"
-            raise TooLargeError(f"its variables take more than {limit / 1e6:,.0f} MB; {how}")
+            how = f"keep the recording alone, or set a larger {files.LIMIT} in the environment"
+            raise files.TooLargeError(f"its variables take more than {limit / 1e6:,.0f} MB; {how}")
         if done.returncode:
-            raise ValueError(clip(said, 200) or "it ends the program that reads it")
+            raise ValueError(files.clip(said, 200) or "it ends the program that reads it")
         with np.load(io.BytesIO(done.stdout), allow_pickle=False) as archive:
             arrays = dict(archive)
     return _decode(arrays, wanted)
@@ -151,7 +142,7 @@ def _as_numbers(array: NDArray[Any], what: str) -> Samples:
     """Convert real numbers to float64; refuse texts, objects and complex numbers."""
     if array.dtype.kind not in "fiu":
         raise ValueError(f"{what} must be real numbers, got values of type {array.dtype}")
-    check_bytes(8 * array.size, what)
+    files.check_bytes(8 * array.size, what)
     # What is not finite is refused where its place is known.
     with np.errstate(over="ignore", invalid="ignore"):
         return array.astype(np.float64)
@@ -209,12 +200,12 @@ def _read_sidecar(path: Path) -> dict[str, Any]:
     keys = dict.fromkeys([*ENTRIES, *tables.UNIT_KEYS, *tables.RATE_KEYS])
     found: dict[str, Any] = {}
     try:
-        text = read_small(path)
+        text = files.read_small(path)
         with tables.foreign_errors("JSON"):
             entries: Any = json.loads(text)
         is_table = isinstance(entries, dict)
         if unknown := [key for key in entries if key not in keys] if is_table else [entries]:
-            got = ", ".join(clip(repr(one)) for one in unknown)
+            got = ", ".join(files.clip(repr(one)) for one in unknown)
             raise ValueError(f"entries must be {', '.join(keys)}, got {got}; correct or remove it")  # noqa: TRY301
         for name, (spellings, parse) in ENTRIES.items():
             present = [key for key in spellings if entries.get(key) is not None]
@@ -242,7 +233,7 @@ def read_hatt(path: Path, _: None) -> tables.Decoded:
     """Read the three axes, the rate and the unit that an XML recording names."""
     from xml.etree import ElementTree as ET
 
-    content = read_bytes(path, most=read_limit() // LARGER)
+    content = files.read_bytes(path, most=files.read_limit() // LARGER)
     # Entities can expand without end or name other files; a recording needs neither.
     if re.search(rb"<!\s*(doctype|entity)", content, re.IGNORECASE):
         raise ValueError("the XML declares a document type or entities, which are not read")
@@ -292,7 +283,7 @@ def _numbers(text: str, axis: str) -> Samples:
     try:
         return np.array(words, dtype=np.float64)
     except ValueError as error:
-        got = clip(str(error), 120)
+        got = files.clip(str(error), 120)
         raise ValueError(f"a value of the {axis} axis is not a number ({got})") from None
 
 
@@ -332,9 +323,9 @@ def read_ide(path: Path, _: None) -> tables.Decoded:
         how = "install it from feel321's source folder: pip install -c constraints.txt '.[ide]'"
         raise ValueError(f"an enDAQ recording is read by idelib, which is missing; {how}") from None
     # In memory: idelib asks for as many bytes as the file promises, of a file they would be allocated.
-    stream = io.BytesIO(read_bytes(path))
+    stream = io.BytesIO(files.read_bytes(path))
     stream.name = str(path)  # idelib asks for it
-    check_bytes(4 * path.stat().st_size, "its samples")  # of two bytes each
+    files.check_bytes(4 * path.stat().st_size, "its samples")  # of two bytes each
     before = logging.root.manager.disable
     logging.disable()  # what is wrong with a file is raised anyway
     try:

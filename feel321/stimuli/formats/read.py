@@ -32,15 +32,7 @@ REFUSED = {
         "the text is in UTF-16 or UTF-32; save the file as UTF-8",
 }  # fmt: skip
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
-SUFFIXES = (
-    *TABLE_SUFFIXES,
-    ".xml",
-    ".wav",
-    ".npz",
-    ".npy",
-    ".mat",
-    ".ide",
-)  # every one that is read
+SUFFIXES = (*TABLE_SUFFIXES, ".xml", ".wav", ".npz", ".npy", ".mat", ".ide")
 TEXT_CONTROLS = frozenset(b"\t\n\v\f\r")
 HEAD_BYTES = 4096
 

@@ -17,15 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from feel321.files import (
-    TEXT_SHARE,
-    TooLargeError,
-    check_lines,
-    clip,
-    decode,
-    read_bytes,
-    read_limit,
-)
+from feel321 import files
 from feel321.stimuli.recording import AXES, UNITS
 from feel321.types import Samples
 
@@ -78,7 +70,7 @@ def foreign_errors(what: str) -> Iterator[None]:
         yield
     except Exception as error:  # libraries raise anything at damaged files, even UnboundLocalError
         # The system's own; libraries raise theirs without a number.
-        if isinstance(error, TooLargeError) or (isinstance(error, OSError) and error.errno):
+        if isinstance(error, files.TooLargeError) or (isinstance(error, OSError) and error.errno):
             raise
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         why = f"cannot be read as {what} ({reason}); it is damaged or of another kind"
@@ -177,7 +169,7 @@ def _check_found(found: Mapping[str, list[int]], labels: Sequence[str]) -> tuple
             both = f"{what} ({', '.join(labels[i] for i in found[what])})"
             raise ValueError(f"several columns may be {both}; say which, columns=(time, x, y, z)")
     if not whole and len(axes) < AXES:
-        header = clip(", ".join(labels), 200)
+        header = files.clip(", ".join(labels), 200)
         if len(labels) - len(found["time"]) == 1:
             raise refuse_reduced(f"a table with the columns {header}")
         present = ", ".join(axis for axis in "xyz" if found[axis])
@@ -204,7 +196,7 @@ def pick_columns(
         elif name.isdecimal() and int(name) < n_columns:  # the command line knows text only
             places.append(int(name))
         else:
-            known = f"{clip(', '.join(labels), 200)}, or " if labels else ""
+            known = f"{files.clip(', '.join(labels), 200)}, or " if labels else ""
             must = f"{known}a number from 0 to {n_columns - 1}"
             raise ValueError(f"a column must be {must}, got {column!r}")
     if len(set(places)) < len(places):
@@ -275,9 +267,9 @@ def read_table(path: Path, wanted: Sequence[str | int] | None) -> Decoded:
 
 def split_table(path: Path) -> TextTable:
     """Find the delimiter, the decimal sign, the header and the first row."""
-    content = read_bytes(path, most=read_limit() // TEXT_SHARE)
-    check_lines(content)
-    text = decode(content, path.name).replace("\r\n", "\n").replace("\r", "\n")
+    content = files.read_bytes(path, most=files.read_limit() // files.TEXT_SHARE)
+    files.check_lines(content)
+    text = files.decode(content, path.name).replace("\r\n", "\n").replace("\r", "\n")
     head = text.rstrip().split("\n", HEAD_LINES)
     above: list[str] = []
     for i, line in enumerate(head[:HEAD_LINES]):
@@ -347,7 +339,7 @@ def _refuse_fault(table: TextTable, columns: Sequence[int]) -> None:
             number = _number(cells[i], table.decimal)
             if number is None or not math.isfinite(number):
                 column = f"column {i} {table.labels[i]!r}" if table.labels else f"column {i}"
-                got = f"got {clip(cells[i])!r}; correct the row"
+                got = f"got {files.clip(cells[i])!r}; correct the row"
                 raise ValueError(f"{place} {column} must be a finite number, {got}")
 
 

@@ -190,6 +190,7 @@ def _flatten(envelope: Samples, hum: Samples, recording: Recording, *, threshold
 
 
 LEVELS = ("as_is", "equal_intensity")
+"""Level arms: one physical gain, so that lost energy is felt as loss; or one sensation level for every stimulus."""
 
 ORIGINAL, NO_REFERENCE = "original", "none"  # the recording itself, on three channels
 

@@ -12,7 +12,7 @@ from math import isnan
 from pathlib import Path
 from threading import Thread
 from time import perf_counter, sleep
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -27,9 +27,6 @@ from feel321.study.actuator.rig import Rig, advise_latency, identify, require_se
 from feel321.study.folder import name_delivered
 from feel321.study.session.ports import Playback, Scaled, Tone
 from feel321.types import Samples
-
-if TYPE_CHECKING:
-    from feel321.study.actuator.delivered import DeliveryCheck
 
 SENSOR_TAIL_S = 0.05  # the sensor is recorded longer than the vibration: an actuator rings on
 
@@ -101,6 +98,14 @@ LOOK_S = 0.005  # between two looks at a sink that is waited for
 SINKS: Mapping[str, type[Sink]] = {one.name: one for one in (FileSink, devices.SimulatedStream)}
 
 
+class _Check(Protocol):  # `DeliveryCheck`, which knows the stimuli
+    def diagnose(
+        self, sent: Frames, sensed: Frames | None, *, keeps_latency: bool
+    ) -> tuple[str, str]: ...
+
+    def describe(self, stimulus_id: str, sensed: Frames | None) -> dict[str, float]: ...
+
+
 class Output:
     """Plays sounds, shape (n_samples, channels), one at a time; `open_output` opens and closes it.
 
@@ -118,7 +123,7 @@ class Output:
         rate_hz: float,
         clock: SessionClock,
         folder: Path | None = None,
-        check: "DeliveryCheck | None" = None,
+        check: _Check | None = None,
     ) -> None:
         self._rig, self._rate_hz, self._folder, self._clock = rig, rate_hz, folder, clock
         self._check, self._name, self.identity = check, "", dict[str, Any]()

@@ -25,7 +25,7 @@ from feel321.study.folder import Outcome
 from feel321.study.participants.roster import read_holder, read_sealed, write_sealed
 from feel321.study.session.events import SessionBegun, TrialRated
 from feel321.study.session.journal import digest, list_journals
-from feel321.study.session.opening import FROZEN_FILE, flatten
+from feel321.study.session.opening import flatten
 from feel321.study.terminal import format_facts
 from feel321.types import MetricInfo
 
@@ -92,7 +92,7 @@ def freeze_study(study: StudyFolder, *, now: Clock) -> tuple[Frozen, dict[str, s
         return former, {}
     own = Frozen(now().isoformat(timespec="seconds"), named, tuple(_list_hypotheses(settings)))
     entry = {name: value for name, value in asdict(own).items() if name != "sha256"}
-    return replace(own, sha256=write_sealed(study.path / FROZEN_FILE, entry)), changes
+    return replace(own, sha256=write_sealed(study.frozen, entry)), changes
 
 
 def report_frozen(lab: OpenStudy, *, show: bool) -> Outcome:
@@ -109,7 +109,7 @@ def report_frozen(lab: OpenStudy, *, show: bool) -> Outcome:
         lab.say(fault)
     lines = [f"{path}: nothing is frozen; before the first session: feel321 freeze"]
     if frozen is not None:
-        lines = [f"{path / FROZEN_FILE}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
+        lines = [f"{study.frozen}: frozen {frozen.utc}, SHA-256 {frozen.sha256}"]
     if frozen is not None and show:
         lines += format_facts({"hypotheses": frozen.hypotheses, "settings": frozen.settings})
     if changes:
@@ -128,7 +128,7 @@ def read_frozen(study: StudyFolder) -> Frozen | None:
         hypotheses = tuple(Hypothesis(**one) for one in entry.pop("hypotheses"))
         return Frozen(**entry, hypotheses=hypotheses, sha256=sha256)
 
-    return read_sealed(study.path / FROZEN_FILE, make)
+    return read_sealed(study.frozen, make)
 
 
 # What counts, and what of it has changed.
@@ -223,7 +223,7 @@ def describe_frozen(study: StudyFolder) -> str:
     try:
         frozen = read_frozen(study)
     except ValueError:
-        return f"frozen: {FROZEN_FILE} cannot be trusted (feel321 audit)"
+        return f"frozen: {study.frozen.name} cannot be trusted (feel321 audit)"
     when = frozen.utc[:16].replace("T", " ") if frozen else ""
     return f"frozen: {when} UTC, before any session" if when else ""
 
@@ -244,7 +244,7 @@ def find_faults(study: StudyFolder) -> list[str]:
         elif not named:
             fault = f"is newer than the session of {path}, whose header knows of no frozen file"
         if named != sha256:
-            faults.append(f"{study.path / FROZEN_FILE}: {fault}")
+            faults.append(f"{study.frozen}: {fault}")
     return faults
 
 
@@ -274,14 +274,14 @@ def make_standing(
     """Compare what is about to be analysed with the frozen file; own: whether the ratings are those of the study."""
     from feel321.analysis.report.standing import Standing
 
-    if not own and (study.path / FROZEN_FILE).exists():
+    if not own and study.frozen.exists():
         first = "These ratings come from elsewhere, so what the study froze does not hold for them"
         reason = "the ratings are not the study's own"
         return Standing(f"{first}: all results are exploratory.", "elsewhere", reason=reason)
     if own and (faults := find_faults(study)):
         said = faults[0].partition(": ")[2].partition(";")[0]
         verb = "was " if said.startswith("changed") else ""
-        reason = f"{FROZEN_FILE} cannot be trusted"
+        reason = f"{study.frozen.name} cannot be trusted"
         first = f"All results are exploratory, because {reason}: it {verb}{said}."
         return Standing(first, "unsound", reason=reason, changes=tuple(faults))
     frozen = read_frozen(study) if own else None

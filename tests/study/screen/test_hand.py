@@ -8,7 +8,8 @@ from feel321.protocols.texts import Question, read_scales
 from feel321.protocols.trial import Judgement, Page, Part, Trial
 from feel321.stimuli.sets.manifest import Stimulus
 from feel321.study.observer import ObserverModel, Participant, SimulatedObserver
-from feel321.study.screen.input import MOVES, RETRIES, RETRY_S, PressingHand, View
+from feel321.study.screen.input import MOVES, View
+from feel321.study.screen.presenter import RETRIES, RETRY_S, PressingHand
 from feel321.study.session.ports import Place
 
 SCALES = read_scales()
