@@ -79,20 +79,17 @@ def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
         if own := [card for card in every if card["beyond_level"] == LOST]:
             clauses.append({"kind": "lost", "metric": metric, "what": name_scales(own, every)})
     # The verdicts that are others without the raters whom screening rules flag, each once.
-    ways: dict[tuple[str, str], list[str]] = {}
+    ways: dict[tuple[str, str], Row] = {}
     for metric, every in by_metric.items():
         for way in dict.fromkeys(card["unflagged"] for card in every if card["unflagged"]):
             own = [card for card in every if card["unflagged"] == way]
             turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
-            key = OPPOSITE if turned else way, name_scales(own, every)
-            ways.setdefault(key, []).append(metric)
+            kind, what = OPPOSITE if turned else way, name_scales(own, every)
+            said: Row = {"kind": kind, "what": what, "metrics": [], "few": []}
+            ways.setdefault((kind, what), said)["metrics"].append(metric)
     if ways:
         sizes = {name: found["raters"].facts[name] for name in ("flagged", "n_raters")}
-        said = [
-            {"kind": one, "what": what, "metrics": own, "few": []}
-            for (one, what), own in ways.items()
-        ]
-        clauses.append({"kind": "unflagged", **sizes, "ways": said})
+        clauses.append({"kind": "unflagged", **sizes, "ways": list(ways.values())})
     others = [{"kind": "other", "text": text} for one in found.values() for text in one.clauses]
     # More of them are left to the first sentences of their own sections.
     return clauses + (others if len(others) <= NAMED or not clauses else [])

@@ -196,10 +196,7 @@ def read_declared(key: str) -> tuple[Mapping[str, TableForm], Mapping[str, Mappi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """A figure of a report: its file's name, its caption, and the figure or what draws it.
-
-    detail: not on the first page.
-    """
+    """A figure of a report: its file's name, its caption, itself or what draws it; detail: not on the first page."""
 
     name: str
     caption: str

@@ -330,12 +330,10 @@ def list_shown(one: tuple[Section, Found]) -> list[TableForm]:
 
 def make_frame(table: Table, found: Iterable[Found], standing: Standing) -> DataFrame:
     """Make the frame: every number of the report, one row each."""
-    tables = {"sizes": count_table(table)}
-    for one in found:
-        tables |= {name: rows for name, rows in one.rows.items() if rows}
+    sizes = ("sizes", count_table(table))
     rows = [
         {"table": name, **row, "status": standing.mark(name, row)}
-        for name, own in tables.items()
+        for name, own in (sizes, *(pair for one in found for pair in one.rows.items()))
         for row in own
     ]
     frame = _tidy(pd.DataFrame(rows), ["table"])
