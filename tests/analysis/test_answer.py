@@ -77,7 +77,7 @@ def test_the_sentence_as_it_is_read() -> None:
     assert say([blank]).endswith("cannot be estimated with 3 people and 4 reducers.")
     lost = make_card("realism", "spectral_match", "open", beyond_level="lost")
     assert say([lost]).endswith(
-        "without level in the model spectral match would predict realism ratings."
+        "without level in the model realism ratings would go with spectral match."
     )
 
 
@@ -111,7 +111,7 @@ def test_a_surprising_reducer_is_named_where_metrics_predict() -> None:
     [
         ("open", "is open."),
         ("not_estimable", "cannot be estimated."),
-        ("predicts", "in the opposite direction."),
+        ("opposite", "predicts mushra ratings, but in the direction opposite to the one declared."),
     ],
 )
 def test_a_verdict_that_changes_without_flagged_raters_is_in_the_sentence(
@@ -129,7 +129,7 @@ def test_cards_take_their_numbers_from_the_rows() -> None:
     place = {"scale": "realism", "level": "as_is", "metric": "temporal_match"}
     verdict = {
         key: make_card("realism", "temporal_match", "predicts")[key]
-        for key in ("subject", "opposite", "verdict")
+        for key in ("subject", "opposite", "verdict", "higher")
     }
     ends = {"low": 1.0, "high": 7.0, "interval": "t"}
     within = {**place, "method": "Pearson within recordings"}
@@ -140,12 +140,14 @@ def test_cards_take_their_numbers_from_the_rows() -> None:
         "metrics": Found({"associations": [
             make_row("r", -0.5, low=-0.7, high=-0.2, interval="b", **within), make_row("ceiling", 0.9, **within),
         ]}),
+        "raters": Found(facts={"unflagged": [{**place, "verdict": "predicts", "tenth": -3.0}]}),
     }  # fmt: skip
     (card,) = make_cards(found)
     assert card["effect"] == {"value": 4.0, "low": 1.0, "high": 7.0}
     assert (card["r"]["value"], card["ceiling"], card["alone"], card["turned"]) == (
         -0.5, 0.9, "lower", True,
     )  # fmt: skip
+    assert card["unflagged"] == "opposite"
 
 
 @pytest.mark.parametrize(
