@@ -30,7 +30,6 @@ from feel321.analysis.mixed.design import Factor, MixedDesign
 from feel321.types import Samples
 
 Codes = NDArray[np.intp]
-
 MOST_LEVELS = 10_000  # Effects beside the unit's: with more, the dense equations need gigabytes
 LARGE = 600  # Rows of a dense matrix from which on two threads do not wait for each other
 HELD = Lock()  # Taken by whoever set the limit of threads, which holds for the whole process

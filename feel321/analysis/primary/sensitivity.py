@@ -52,7 +52,6 @@ COLUMNS = (
 
 TENTHS = ("tenth", "tenth_low", "tenth_high")
 UNITS = {"rater-standardised": "rater SDs", "logits": "logits"}  # Of slopes that are not in points
-
 Variant = tuple[str, Callable[[], Cells], str, dict[str, bool]]  # Name, cells, note, and terms
 
 

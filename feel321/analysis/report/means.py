@@ -45,8 +45,8 @@ REDUCER, TEST = "reducer", ROLES[0]
 
 # Stimuli: correlations of their mean ratings with metrics.
 
+# The method that the words give, its counterpart by ranks, and the one that scatters and cards give
 LEADING, RANKED, DRAWN = "pearson", "spearman", "within"
-"""The method that the words give, its counterpart by ranks, and the one that scatters and cards give."""
 
 
 def compute_correlations(table: Table, choices: Choices) -> Found:

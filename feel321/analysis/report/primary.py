@@ -27,15 +27,13 @@ if TYPE_CHECKING:
 
 HIGHER, LOWER = "higher", "lower"
 PLACE = ("scale", "level", "metric")
-
+# The verdict on a metric without a slope
 BLANK: Row = {
     "verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False, "hinges_on": [],
     "better_than": [], "few": [], "beyond_level": "",
 }  # fmt: skip
-"""The verdict on a metric without a slope."""
-
+# What programs are told of a slope; the words need more
 VERDICT = ("scale", "level", "metric", "subject", "ratings", *BLANK)
-"""What programs are told of a slope; the words need more."""
 
 
 def per_step(slopes: DataFrame, steps: Mapping[str, Step]) -> DataFrame:

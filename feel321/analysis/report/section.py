@@ -46,9 +46,8 @@ Row = dict[Any, Any]
 
 NONE = math.nan
 ENDS = ("value", "low", "high", "p")
+# Columns of every row; all others say what the number is of
 FIXED = ("quantity", *ENDS, "n", "interval", "note")
-"""Columns of every row; all others say what the number is of."""
-
 SIGNIFICANCE = 0.05
 
 
@@ -86,10 +85,10 @@ def list_few(units: Mapping[str, int], least: int) -> list[str]:
 
 # What a template declares: tables and figures.
 
+# Keys that a page shows as they are; those of all others are put into words
 RAW = frozenset({
     "reducer", "second_reducer", "participant", "stimulus", "recording", "role", "unit", "group", "term",
 })  # fmt: skip
-"""Keys that a page shows as they are; those of all others are put into words."""
 
 
 class Quantity(NamedTuple):
@@ -305,8 +304,8 @@ class Section:
         return found
 
 
+# Scales and levels that a figure of the first page shows, so that it can be read on paper; the others follow
 FRONT = 4
-"""Scales and levels that a figure of the first page shows, so that it can be read on paper; the others follow."""
 
 
 def split_front(name: str, drawn: Sequence[Anything]) -> Iterator[tuple[str, Sequence[Anything]]]:
@@ -323,9 +322,8 @@ def find_table_steps(table: Table) -> dict[str, Step]:
 
 # More ratings than a mixed model can be fitted to in reasonable time and memory.
 
+# Random effects besides those of the largest group, which make a dense matrix; of those and the largest group's
 MOST_DENSE, MOST_PRODUCTS = 1500, 40_000_000
-"""Random effects besides those of the largest group, which make a dense matrix; of those and the largest group's."""
-
 FEWEST = 8  # Participants and recordings are not thinned below this
 
 
