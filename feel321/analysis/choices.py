@@ -183,12 +183,8 @@ def infer_share(votes: Votes, scores: Values) -> dict[str, float]:
     influence = np.where(known, scores - share, 0.0) / known.sum() / (share * (1 - share))
     centre = float(logit(share))
     margin, p = _infer(votes, centre, influence)
-    return {
-        "share": share,
-        "low": float(expit(centre - margin)),
-        "high": float(expit(centre + margin)),
-        "p": p,
-    }
+    low, high = float(expit(centre - margin)), float(expit(centre + margin))
+    return {"share": share, "low": low, "high": high, "p": p}
 
 
 def _infer(votes: Votes, value: float, influence: Values) -> tuple[float, float]:

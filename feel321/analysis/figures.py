@@ -184,10 +184,8 @@ def make_handles(looks: Mapping[str, Look]) -> dict[str, Artist]:
     from matplotlib.lines import Line2D
 
     rim: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "markeredgewidth": THIN}
-    return {
-        name: Line2D([], [], color=look.colour, marker=look.marker, **rim)
-        for name, look in looks.items()
-    }
+    pairs = looks.items()
+    return {name: Line2D([], [], color=one.colour, marker=one.marker, **rim) for name, one in pairs}
 
 
 # How figures are saved: as vector and as bitmap, the same bytes for the same data.

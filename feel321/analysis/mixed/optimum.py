@@ -292,9 +292,8 @@ class Profile:
         slopes = np.zeros((size + 1, self.n_fixed, self.n_fixed))
         is_even = (state.theta == 0) & self.own.straight & self.shared.straight
         for place, shift in enumerate(np.diag(STEP * unit)):
-            if is_even[
-                place
-            ]:  # both sides of a spread of 0 are alike, and nothing else changes along it
+            # Both sides of a spread of 0 are alike, and nothing else changes along it.
+            if is_even[place]:
                 end = self.evaluate(state.theta + shift)
                 rise = self.find_slope(end, end.rss / sigma**2)[place]
                 hessian[place, place] = rise * unit[place] / STEP

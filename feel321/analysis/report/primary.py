@@ -129,10 +129,8 @@ def _fit(found: Found, table: Table, choices: Choices) -> tuple[dict[Part, Prima
 
 def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primary:
     """Compare slopes each in the direction that its metric declares: one of which lower is better changes its sign."""
-    signs = {
-        name: -1.0 if name in info and info[name].higher == "worse" else 1.0
-        for name in map(str, model.slopes.index)
-    }
+    worse = {name for name, one in info.items() if one.higher == "worse"}
+    signs = {name: -1.0 if name in worse else 1.0 for name in map(str, model.slopes.index)}
     if min(signs.values(), default=1.0) > 0:
         return model
     scales = (model.slopes["standardised"] / model.slopes["estimate"]).to_dict()

@@ -111,12 +111,8 @@ class Quantity(NamedTuple):
         if self.kind == "note":
             yield self.head, [str(row.get("note", "")) for row in rows]
             return
-        told = [
-            format_estimate(row["value"], row["low"], row["high"], kind=self.kind)
-            if row
-            else ("", "")
-            for row in rows
-        ]
+        ends = [tuple(read_ends(row).values()) if row else () for row in rows]
+        told = [format_estimate(*one, kind=self.kind) if one else ("", "") for one in ends]
         yield self.head, [value for value, _ in told]
         if kinds := [row["interval"] for row in rows if row and math.isfinite(row["low"])]:
             yield f"{kinds[0][:4]} interval", [interval for _, interval in told]
