@@ -80,7 +80,13 @@ class Table(Result):
     stimuli: DataFrame | None = None
 
     def select(self, scale: str | None = None, *, level: str | None = None) -> Table:
-        """Select the ratings of one scale or level, by name; all if left out. Metrics and notes are the same."""
+        """Select the ratings of one scale or level; metrics and notes are the same.
+
+        Parameters
+        ----------
+        scale, level : str, optional
+            Its name; all if left out.
+        """
         return replace(self, rows=_choose(self.rows, scale, level))
 
     def votes(self) -> DataFrame:
