@@ -119,8 +119,8 @@ def find_method(
     name, what = found.name, f"{kind} {found.place!r}"
     if not fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,59}", name):
         remedy = "give it a name with def" if found.origin == "function" else "rename it"
-        what = "up to 60 letters (A-Z), digits and _, beginning with a letter"
-        raise ValueError(f"{what}: its name must be {what}, got {name!r}; {remedy}")
+        must = "up to 60 letters (A-Z), digits and _, beginning with a letter"
+        raise ValueError(f"{what}: its name must be {must}, got {name!r}; {remedy}")
     if name.casefold() in {one.casefold() for one in taken}:
         raise ValueError(f"{what}: the name {name!r} is taken by one of feel321's own; rename it")
     return found

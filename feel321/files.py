@@ -60,15 +60,18 @@ def clip(text: str, most: int = 60) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def word_fault(error: ValueError) -> str:
-    """Word what is wrong with a file that does not fit its model: the first fault, where it is and what was got."""
+def word_fault(error: ValueError, *, is_blind: bool = False) -> str:
+    """Word what is wrong with a file that does not fit its model: the first fault, where it is and what was got.
+
+    is_blind: what was got is not shown: it may be a rating, a condition or an answer.
+    """
     from pydantic import ValidationError
 
     if not isinstance(error, ValidationError):
         return str(error)
     first = error.errors(include_url=False)[0]
-    place, got = ".".join(map(str, first["loc"])), clip(repr(first["input"]))
-    return f"{place}: {first['msg']}, got {got}" if place else first["msg"]
+    place, got = ".".join(map(str, first["loc"])), f", got {clip(repr(first['input']))}"
+    return f"{place}: {first['msg']}{'' if is_blind else got}" if place else first["msg"]
 
 
 def check_bytes(n_bytes: int, what: str, *, most: int | None = None) -> None:

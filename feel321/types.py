@@ -12,6 +12,8 @@ from typing import Literal, Protocol, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from feel321.arguments import Registry
+
 __all__ = [
     "Direction", "Level", "Method", "Metric", "MetricInfo", "PathLike", "Progress", "Reducer", "Rng", "Samples",
 ]  # fmt: skip
@@ -79,7 +81,7 @@ REDUCER_NAMES = (
 """In the order of the paper, simplest first; later ones follow. The only list of names."""
 
 _WORSE_DB: tuple[Direction, float, float, str] = ("worse", 0.0, MOST_DB, "dB")
-METRIC_INFO: Mapping[str, MetricInfo] = {
+METRIC_INFO: Mapping[str, MetricInfo] = Registry("metric", {
     "spectral_match": MetricInfo("spectral match", high=1.0),
     "temporal_match": MetricInfo("temporal match", low=0.0, high=1.0),
     "spectral_match_bounded": MetricInfo("bounded spectral match", low=0.0, high=1.0),
@@ -91,7 +93,7 @@ METRIC_INFO: Mapping[str, MetricInfo] = {
     "modulation_distance": MetricInfo("modulation spectrum distance", "worse", 0.0),
     "st_sim": MetricInfo("ST-SIM", "better", 0.0, 1.0),
     "spqi": MetricInfo("SPQI", "better", 0.0, 1.0),
-}
+})  # fmt: skip
 """Name of a metric, the match metrics first -> which way it points, its bounds, and how it is called on a page."""
 
 MATCHES = ("spectral_match", "temporal_match", "spectral_match_bounded")

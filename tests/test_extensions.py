@@ -131,6 +131,10 @@ def test_a_set_holds_the_labs_own_reducers_and_metrics_and_is_built_alike_by_two
 def test_taken_names_and_places_outside_the_study_are_refused(study: Path) -> None:
     (study / "methods" / "mine.py").write_text("def dft321(a, r):\n    return a[0]\n")
     for given, message in (
+        (
+            "methods/mine.py:_321",
+            r"\Areducer 'methods/mine.py:_321': its name must be up to 60 letters",
+        ),
         ("methods/mine.py:dft321", "is taken by one of feel321's own; rename it"),
         ("../other.py:my321", "must be a file in the study's folder"),
         ("methods/none.py:my321", "there is no file methods/none.py"),

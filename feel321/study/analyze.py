@@ -177,7 +177,7 @@ MOST, LEAST = 64, 16
 """Orientations: the mean is then known to 1/8 of their spread, or to 1/4 where there is so much to reduce."""
 
 AFFORDABLE = 400_000_000
-"""Samples, of all orientations, reducers and axes, that are reduced: about five seconds on two cores."""
+"""Samples, of all orientations, reducers and axes, that are reduced: about two seconds on two cores."""
 
 DECLARED = 4
 """Times as many orientations for declared predictors: an association is weakened by what a predictor is uncertain."""

@@ -70,7 +70,7 @@ WORDY = {"run"}  # verbs that print as they go, and no numbers at their end
 
 VERBS = [verb for verbs in GROUPS.values() for verb in verbs]
 
-RESUMED = {"collect", "demo", "power", "run", "simulate", "withdraw"}
+RESUMED = {"collect", "demo", "run", "simulate", "withdraw"}
 """Verbs that continue, when called again, where they were interrupted."""
 
 COMPLETION = "--install-completion"

@@ -170,7 +170,7 @@ class Study(OpenStudy):
         """Find how many participants, recordings and reducers a study needs.
 
         Simulates this very study: its stimuli, protocols, primary model and Holm's method. Writes a page, tables
-        and JSON into STUDY/power. After Ctrl-C the same command continues.
+        and JSON into STUDY/power.
 
         Example: feel321 power my-study --participants 8,12,16,24 --effect spectral_match_bounded=2 --workers 2
 

@@ -77,7 +77,7 @@ def test_the_sentence_as_it_is_read() -> None:
     assert say([blank]).endswith("cannot be estimated with 3 people and 4 reducers.")
     lost = make_card("realism", "spectral_match", "open", beyond_level="lost")
     assert say([lost]).endswith(
-        "without level in the model spectral match would predict realism ratings."
+        "without level in the model realism ratings would go with spectral match."
     )
 
 
@@ -111,7 +111,7 @@ def test_a_surprising_reducer_is_named_where_metrics_predict() -> None:
     [
         ("open", "is open."),
         ("not_estimable", "cannot be estimated."),
-        ("predicts", "in the opposite direction."),
+        ("opposite", "predicts mushra ratings, but in the direction opposite to the one declared."),
     ],
 )
 def test_a_verdict_that_changes_without_flagged_raters_is_in_the_sentence(
@@ -129,7 +129,7 @@ def test_cards_take_their_numbers_from_the_rows() -> None:
     place = {"scale": "realism", "level": "as_is", "metric": "temporal_match"}
     verdict = {
         key: make_card("realism", "temporal_match", "predicts")[key]
-        for key in ("subject", "opposite", "verdict")
+        for key in ("subject", "opposite", "verdict", "higher")
     }
     ends = {"low": 1.0, "high": 7.0, "interval": "t"}
     within = {**place, "method": "Pearson within recordings"}
@@ -140,12 +140,14 @@ def test_cards_take_their_numbers_from_the_rows() -> None:
         "metrics": Found({"associations": [
             make_row("r", -0.5, low=-0.7, high=-0.2, interval="b", **within), make_row("ceiling", 0.9, **within),
         ]}),
+        "raters": Found(facts={"unflagged": [{**place, "verdict": "predicts", "tenth": -3.0}]}),
     }  # fmt: skip
     (card,) = make_cards(found)
     assert card["effect"] == {"value": 4.0, "low": 1.0, "high": 7.0}
     assert (card["r"]["value"], card["ceiling"], card["alone"], card["turned"]) == (
         -0.5, 0.9, "lower", True,
     )  # fmt: skip
+    assert card["unflagged"] == "opposite"
 
 
 @pytest.mark.parametrize(
@@ -185,3 +187,21 @@ def test_the_first_line_on_correlations_says_what_they_are_and_that_they_are_not
     )
     assert "That is another question than the slopes answer" in first
     assert not any("another question" in line for line in rest)
+
+
+PAIR = {"subject": "Realism", "differ": 1, "n_pairs": 36, "same": [], "margin": None, "hint": []}
+
+
+@pytest.mark.parametrize(
+    ("name", "macro", "facts", "said"),
+    [
+        ("contrasts", "lines", {"parts": [PAIR]}, "1 of 36 pairs of reducers differs after"),
+        ("discrimination", "clause", {"apart": 1, "n": 3}, "1 of 3 reducers and anchors was distinguished"),
+        ("told_apart", "lines", {"parts": [{"level": "", "apart": [], "n": 1, "rest": ["mag321"]}]},
+         "for 0 of 1 reducers. No difference was shown for mag321"),
+    ],
+)  # fmt: skip
+def test_one_and_none_are_said_as_such(
+    name: str, macro: str, facts: dict[str, Any], said: str
+) -> None:
+    assert said in " ".join(render_words(name, macro, **facts))

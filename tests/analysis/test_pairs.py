@@ -1,6 +1,7 @@
 """Judgements of two stimuli at once: whose they are, what they leave out, and what they may not claim."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from feel321.analysis.association import make_panel
 from feel321.analysis.report.section import find_row
 from feel321.analysis.report.write import write_report
-from feel321.analysis.table.items import split_tests
+from feel321.analysis.table.items import open_tests, split_tests
 from feel321.analysis.table.reading import Table, read_table
 from feel321.stimuli.reducers.registry import DEFAULT_REDUCERS
 
@@ -113,6 +114,12 @@ def test_metrics_speak_only_of_what_was_judged_against_its_recording(write: Writ
         "surface": True, "dft321": False, "ghost": True, "orig": True, "": True, "elsewhere": False,
     }  # fmt: skip
     assert any("were made against a stimulus of another recording" in note for note in table.notes)
+    left_out = "2 judgements against other references are left out."
+    assert left_out in open_tests(table)[1]
+    assert not any(
+        "other references" in note
+        for note in open_tests(replace(table, rows=table.rows[table.rows["matched"]]))[1]
+    )
     assert [len(part.rows) for part in split_tests(table)] == [4]
     assert [len(part.rows) for part in split_tests(table, matched=False)] == [6]
 

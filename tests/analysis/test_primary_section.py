@@ -14,7 +14,7 @@ from feel321.analysis.primary.plan import make_cells
 from feel321.analysis.primary.sensitivity import Influence, find_candidates
 from feel321.analysis.report import primary
 from feel321.analysis.report.primary import keep_steady
-from feel321.analysis.report.section import Found, find_row
+from feel321.analysis.report.section import Found, find_row, read_declared
 from feel321.analysis.resampling import Choices
 from feel321.analysis.table.reading import Table
 from feel321.analysis.words import render_words
@@ -156,6 +156,10 @@ def test_a_verdict_that_one_reducer_turns_names_it_first(flipping: Found) -> Non
     said = say(flipping)
     assert "hinges on the reducer mag321: without it the association is open" in said[1]
     assert "better" not in " ".join(said)
+    shown = read_declared("primary")[0]["models"].show(flipping.rows["models"])
+    sizes = dict(zip(shown["head"], shown["rows"][0], strict=True))
+    units = [sizes[name] for name in ("Participants", "Recordings", "Reducers")]
+    assert units == ["6", "12", str(len(DEFAULT_REDUCERS))]
 
 
 def test_every_omission_is_a_refit_of_the_rest(flipping: Found) -> None:

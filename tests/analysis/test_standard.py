@@ -72,6 +72,13 @@ def test_a_monotone_cubic_is_recovered_exactly() -> None:
     assert any("perfect" in note for note in result.notes)
 
 
+def test_what_does_not_vary_correlates_with_nothing() -> None:
+    result = p1401(np.full((9, 3), 60.0), np.arange(9.0), order=1)
+    assert math.isnan(result.plcc)
+    assert math.isnan(result.srocc)
+    assert result.rmse == pytest.approx(0, abs=1e-9)
+
+
 @pytest.mark.parametrize("order", [0, 1, 3])
 def test_every_number_by_its_definition(order: int) -> None:
     votes, metric = make_votes()

@@ -102,3 +102,8 @@ def test_bad_pairs_are_refused(
 ) -> None:
     with pytest.raises(ValueError, match=message):
         metric(acceleration, reduced, RATE)
+
+
+def test_a_wrong_name_of_a_metric_is_told_the_right_ones() -> None:
+    with pytest.raises(KeyError, match=r"metric must be one of .*did you mean 'spectral_match'"):
+        METRIC_INFO["spectral_macth"]

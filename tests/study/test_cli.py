@@ -317,6 +317,7 @@ KEPT = "; what is done is kept, the same command continues"
     [
         ("status.read_status", "status", ""),
         ("check.build_study", "build", ""),
+        ("power.set_up", "power", ""),
         ("simulate.simulate_study", "simulate", KEPT),
     ],
 )

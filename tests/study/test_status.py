@@ -17,6 +17,7 @@ from feel321.study.session.journal import read_journal, require_journal, write_l
 from feel321.study.session.plan import Design, Plan, make_plan
 from feel321.study.session.ports import Confirm, Playback
 from feel321.study.status import describe_balance, read_status
+from tests.study.auditing.cheats import chain
 
 Present = Callable[..., list[Any]]
 
@@ -45,6 +46,16 @@ def test_what_is_broken_hides_nobody_else(
     assert problem in broken.problem
     assert "p02/plan.json: is the plan of 'p01', it was copied here; move it away" in copied.problem
     assert read_status(begun).balance is None  # Nobody is left to count.
+
+
+def test_a_record_of_another_version_shows_no_rating(begun: StudyFolder) -> None:
+    path = begun.sessions / "p01" / "session-01.jsonl"
+    records = read_journal(path).records
+    rated = next(one for one in records if one.event == "rated")
+    data = {name: value for name, value in rated.data.items() if name != "response_time_s"}
+    chain(path, [replace(one, data=data) if one is rated else one for one in records])
+    (broken,) = read_status(begun).participants
+    assert "record as feel321 writes it (response_time_s: Field required);" in broken.problem
 
 
 def test_states_follow_the_journal(present: Present, scripted: type, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from feel321.stimuli.sets.manifest import read_stimuli
 from feel321.stimuli.sets.recipe import Recipe
 from feel321.stimuli.sets.render import Measured
 from feel321.stimuli.synthesis import make_scene
-from feel321.stimuli.thresholds import THRESHOLDS
+from feel321.stimuli.thresholds import THRESHOLDS, acceleration_threshold
 from feel321.stimuli.wav import write_wav
 from feel321.study.check import build_study, check_study
 from feel321.study.cli import main
@@ -164,3 +164,23 @@ def test_a_recording_that_is_raised_by_more_than_40_db_is_named_before_the_build
     foreseen = [replace(foresee(name), gain=gain) for name, gain in (("oak", 99.0), ("ash", 200.0))]
     (line,) = find_strength(read_settings(study.settings), foreseen, Recipe()).warnings
     assert line.startswith("ash: played 46 dB stronger than it was recorded")
+
+
+def test_thresholds_that_may_lie_beyond_the_levels_are_told(study: StudyFolder) -> None:
+    text = study.settings.read_text(encoding="utf-8")
+    peak_m_s2 = acceleration_threshold(160.0, threshold="grasped_stylus")
+    level_db = 20 * np.log10(peak_m_s2 / 2**0.5)  # dB re 1 m/s², RMS
+
+    def warn(below_db: float, above_db: float) -> list[str]:
+        own = f"lowest_db = {level_db - below_db}\nhighest_db = {level_db + above_db}\nstart_db = {level_db}\n"
+        block = f"[session.threshold]\nfrequencies_hz = [160.0]\n{own}"
+        study.settings.write_text(
+            text.replace("[stimuli]", f'{block}[stimuli]\nthreshold = "grasped_stylus"'),
+            encoding="utf-8",
+        )
+        return [line for line in check_study(study).warnings if "thresholds are expected" in line]
+
+    assert warn(13, 13) == []
+    for line in (*warn(11, 13), *warn(13, 11)):
+        assert f"at 160 Hz thresholds are expected around {level_db:.0f} dB" in line
+    assert len(warn(11, 13)) == len(warn(13, 11)) == 1

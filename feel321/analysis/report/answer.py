@@ -50,12 +50,14 @@ def make_cards(found: Mapping[str, Found]) -> list[Row]:
         place = {key: verdict[key] for key in PLACE}
         *part, metric = spot = tuple(place.values())
         within = place | {"method": format_method("within")}
+        left, better = without.get(spot, {"verdict": ""}), verdict["higher"] == "better"
+        against = left["verdict"] == PREDICTS and (left["tenth"] > 0) != better
         effect, r = effects.get(spot, blank), find_row(alone, "r", **within) or blank
         others = [other for *of, other in effects if of == part and other != metric]
         cards.append({
             **verdict, "effect": read_ends(effect), "r": read_ends(r),
             "ceiling": (find_row(alone, "ceiling", **within) or blank)["value"],
-            "given": others if spot in effects else [], "unflagged": without.get(spot, {}).get("verdict", ""),
+            "given": others if spot in effects else [], "unflagged": OPPOSITE if against else left["verdict"],
             "outcome": OPPOSITE if verdict["opposite"] else verdict["verdict"],
             # How ratings go with a metric alone; empty where its interval covers zero.
             "turned": verdict["verdict"] == PREDICTS and effect["value"] * r["value"] < 0,
@@ -82,11 +84,9 @@ def list_clauses(cards: Sequence[Row], found: Mapping[str, Found]) -> list[Row]:
     ways: dict[tuple[str, str], Row] = {}
     for metric, every in by_metric.items():
         for way in dict.fromkeys(card["unflagged"] for card in every if card["unflagged"]):
-            own = [card for card in every if card["unflagged"] == way]
-            turned = way == PREDICTS and own[0]["verdict"] == PREDICTS
-            kind, what = OPPOSITE if turned else way, name_scales(own, every)
-            said: Row = {"kind": kind, "what": what, "metrics": [], "few": []}
-            ways.setdefault((kind, what), said)["metrics"].append(metric)
+            what = name_scales([card for card in every if card["unflagged"] == way], every)
+            said: Row = {"kind": way, "what": what, "metrics": [], "few": []}
+            ways.setdefault((way, what), said)["metrics"].append(metric)
     if ways:
         sizes = {name: found["raters"].facts[name] for name in ("flagged", "n_raters")}
         clauses.append({"kind": "unflagged", **sizes, "ways": list(ways.values())})

@@ -351,7 +351,7 @@ def read_event(name: str, data: Mapping[str, Any]) -> SessionEvent:
         # By JSON's own strictness: a list may fill a tuple and 1 a float, "1" or true may not.
         event: SessionEvent = make_adapter(kind).validate_json(to_json(data), strict=True)
     except (TypeError, ValueError) as error:
-        reason = word_fault(error) if isinstance(error, ValueError) else error
+        reason = word_fault(error, is_blind=True) if isinstance(error, ValueError) else error
         raise ValueError(f"is not a {name!r} record as feel321 writes it ({reason})") from None
     return event
 

@@ -190,7 +190,7 @@ def _read_plan(content: bytes, path: Path) -> Plan:
     try:
         plan: Plan = events.make_adapter(Plan).validate_json(text, strict=True, extra="forbid")
     except (ValueError, AttributeError, RecursionError) as error:
-        reason = word_fault(error) if isinstance(error, ValueError) else error
+        reason = word_fault(error, is_blind=True) if isinstance(error, ValueError) else error
         raise ValueError(
             f"{path}: not a plan as this version writes it ({reason}); use the feel321 that wrote it"
         ) from None
