@@ -414,8 +414,14 @@ def _find_cost(folder: StudyFolder, rig: Rig, proposed: Certificate) -> Iterator
     if not (folder.stimuli.is_dir() and folder.settings.is_file()):
         yield "the study has no stimuli yet; once they are built, feel321 check says which are too strong"
         return
-    stimuli, settings = read_stimuli(folder.stimuli), read_settings(folder.settings)
-    _, sounds = find_rig_problems(rig, stimuli, settings, certificate=proposed)
+    try:
+        stimuli, settings = read_stimuli(folder.stimuli), read_settings(folder.settings)
+        problems, sounds = find_rig_problems(rig, stimuli, settings, certificate=proposed)
+    except (OSError, ValueError) as error:  # minutes of sweeps are not lost for it
+        problems, sounds = str(error).splitlines(), {}
+    if not sounds:
+        yield f"how strong the stimuli come is not known: {problems[0]}"
+        return
     peaks = {name: float(abs(sound).max()) for name, sound in sounds.items()}
     strongest = max(peaks, key=peaks.__getitem__)
     headroom_db = -20 * math.log10(max(peaks[strongest], 1e-9))

@@ -191,6 +191,10 @@ class Window:
             self._events.append(InputEvent(kind, self._clock(), key, x, y))
             return True
 
+        def strike(kind: str, symbol: int | None) -> bool:
+            # macOS has no symbol for keys such as ä.
+            return take(kind, name_key(keys.symbol_string(symbol)) if symbol else "")
+
         def point(kind: str, x: float, y: float) -> bool:
             (width, height), size = inner.get_size(), self.size
             return take(kind, x=x * size[0] / width, y=(height - y) * size[1] / height)
@@ -200,8 +204,8 @@ class Window:
             return True  # the window stays until the session has let go of it
 
         inner.push_handlers(
-            on_key_press=lambda symbol, _: take("press", name_key(keys.symbol_string(symbol))),
-            on_key_release=lambda symbol, _: take("release", name_key(keys.symbol_string(symbol))),
+            on_key_press=lambda symbol, _: strike("press", symbol),
+            on_key_release=lambda symbol, _: strike("release", symbol),
             on_text=lambda text: (
                 not text.isprintable() or take("text", text)
             ),  # Enter is a text too

@@ -382,6 +382,18 @@ def test_what_is_proposed_and_what_it_costs_is_said_before_it_is_written(
     assert left.startswith("left coil: flat from 20 to 1000 Hz within ")
     assert strongest.startswith("strongest stimulus ")
     assert weakest.endswith(" dB over the threshold of feeling")
+    mute = rig.model_copy(
+        update={
+            "actuators": tuple(one.model_copy(update={"plays": ("z",)}) for one in rig.actuators)
+        }
+    )
+    assert agree(smallest, mute, certificate)
+    smallest.manifest.write_text("x\n", encoding="utf-8")
+    assert agree(smallest, rig, certificate)
+    *_, unplayed, _, _, damaged = capsys.readouterr().err.splitlines()
+    unknown = "how strong the stimuli come is not known: "
+    assert unplayed.startswith(f"{unknown}rig.toml: ")
+    assert damaged == f"{unknown}{smallest.manifest}: holds no stimulus; build the set again"
 
 
 def test_sweeps_that_are_out_of_step_are_played_again(rig: Rig) -> None:

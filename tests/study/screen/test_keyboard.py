@@ -2,7 +2,9 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,7 +13,7 @@ from feel321.protocols.texts import MOST_LETTERS, Question, read_scales
 from feel321.study.keys import USUAL, KeysTable
 from feel321.study.screen.input import Answer, Form, InputEvent
 from feel321.study.screen.sheet import Box, Target
-from feel321.study.screen.window import HELD, drop_repeats, hold_signals, name_key
+from feel321.study.screen.window import HELD, Window, drop_repeats, hold_signals, name_key
 
 TRACK = Target(Box(0.0, 0.0, 200.0, 10.0), "mark", "test", Box(0.0, 0.0, 200.0, 10.0))
 
@@ -109,6 +111,21 @@ def test_markers_report_where_they_rest(answer: Answer, do: Callable[..., None])
 def test_keys_have_one_name_on_the_main_block_and_on_the_number_block() -> None:
     symbols = ("RETURN", "NUM_7", "_7", "PAGEUP", "NUM_PAGE_UP", "R")
     assert [name_key(symbol) for symbol in symbols] == ["enter", "7", "7", "pageup", "pageup", "r"]
+
+
+def test_a_key_without_a_symbol_is_pressed_and_means_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As ä and ß on macOS, of which pyglet cannot name the symbol."""
+    given: dict[str, Any] = {}
+    key = SimpleNamespace(symbol_string="key{:d}".format)
+    monkeypatch.setitem(sys.modules, "pyglet.window", SimpleNamespace(key=key))
+    inner = SimpleNamespace(push_handlers=given.update)
+    window = Window(SimpleNamespace(winHandle=inner), lambda: 1.0, lambda: None)
+    window.listen()
+    assert given["on_key_press"](None, 0)
+    assert given["on_key_release"](None, 0)
+    assert window._events == [InputEvent("press", 1.0), InputEvent("release", 1.0)]
 
 
 def test_what_a_held_key_makes_up_is_dropped_and_a_real_second_press_is_not() -> None:
