@@ -84,12 +84,9 @@ def _list_candidates(u: Values, y: Values) -> Iterator[Polynomial]:
 
 
 def p1401(
-    votes: Table | ArrayLike,
-    metric: str | ArrayLike,
-    *,
-    order: int = 3,
-    groups: ArrayLike | None = None,
-) -> Statistic:
+    votes: Table | ArrayLike, metric: str | ArrayLike,
+    *, order: int = 3, groups: ArrayLike | None = None,
+) -> Statistic:  # fmt: skip
     """Judge a metric against votes as ITU-T P.1401 does.
 
     Parameters

@@ -117,15 +117,9 @@ def new_figure(height_cm: float) -> tuple[Figure, Axes]:
 
 
 def plot_marks(
-    axes: Axes,
-    x: ArrayLike,
-    y: ArrayLike,
-    *,
-    look: Look,
-    size: float = 4.0,
-    filled: bool = True,
+    axes: Axes, x: ArrayLike, y: ArrayLike, *, look: Look, size: float = 4.0, filled: bool = True,
     **style: Any,  # noqa: ANN401 - whatever a line takes
-) -> Line2D:
+) -> Line2D:  # fmt: skip
     """Draw points, with a white rim that keeps neighbours apart, or hollow."""
     rim, face = ("white", look.colour) if filled else (look.colour, "white")
     return axes.plot(x, y, **{

@@ -186,10 +186,8 @@ class Averages(NamedTuple):
         """
         if how.within:
             parts = [self.correlate_recordings(items, metric, how) for metric in items.metrics]
-            return [
-                np.array([average_recordings(*part, counts=one) for part in parts])
-                for one in counts
-            ]
+            each = ([average_recordings(*part, counts=one) for part in parts] for one in counts)
+            return list(map(np.array, each))
         weights = np.stack([one[:, items.recordings] * self.rated for one in counts])
         means, few = self.order(how), (weights > 0).sum(axis=-1) < FEWEST_ITEMS
         found = [how.correlation(metric, means, weights=weights) for metric in items.metrics]
@@ -286,9 +284,8 @@ def draw_methods(
         how, each = METHODS[method], np.empty((len(items.metrics), 0))
         (point,) = whole.correlate(items, how, counts=(every,))
         if how.within:
-            each = np.concatenate([
-                whole.correlate_recordings(items, row, how)[0] for row in items.metrics
-            ])
+            rows = [whole.correlate_recordings(items, row, how)[0] for row in items.metrics]
+            each = np.concatenate(rows)
         two_way, people = np.concatenate(found, axis=-1)
         result[method] = Draws(point[:, 0], two_way, people, each)
     return result

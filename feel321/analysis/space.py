@@ -286,9 +286,8 @@ def regress_points(
     rows = []
     for name, values in attributes.items():
         known = np.isfinite(values).all(axis=0)
-        design, kept = (
-            one[:, known] - one[:, known].mean(axis=1, keepdims=True) for one in (places, values)
-        )
+        pair = (one[:, known] for one in (places, values))
+        design, kept = (one - one.mean(axis=1, keepdims=True) for one in pair)
         design, n = design.reshape(-1, 2), int(known.sum())
         if math.factorial(n) <= max(draws, ALL_ORDERS):
             orders = [np.array(order) for order in reorder(range(n))]

@@ -163,14 +163,9 @@ GROUPS = {
 
 
 def compare_reducers(
-    ratings: Table | DataFrame,
-    first: str,
-    second: str,
-    *,
-    scale: str | None = None,
-    level: str | None = None,
-    margin: float | None = None,
-) -> Statistic:
+    ratings: Table | DataFrame, first: str, second: str,
+    *, scale: str | None = None, level: str | None = None, margin: float | None = None,
+) -> Statistic:  # fmt: skip
     """Compare the ratings of two reducers: fit a mixed model, contrast it, and test the difference against a margin.
 
     Parameters

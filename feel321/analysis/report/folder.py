@@ -161,16 +161,12 @@ class PageResult(Result):
         tables = self.to_frames()
         name, content, pictures, values = self._make_page(tables)
         files = list_files([picture.name for picture in pictures], tables)
+        shown = {"pictures": pictures, **values}
+        held = to_json_value({"schema_version": SCHEMA_VERSION, **content, "files": files})
         target = write_folder(
-            folder,
-            to_json_value({"schema_version": SCHEMA_VERSION, **content, "files": files}),
-            page=lambda drawings: render_template(
-                name, pictures=pictures, drawings=drawings, **values
-            ),
-            pictures=pictures,
-            tables=tables,
-            kind=type(self).__name__.lower(),
-        )
+            folder, held, page=lambda drawings: render_template(name, drawings=drawings, **shown),
+            pictures=pictures, tables=tables, kind=type(self).__name__.lower(),
+        )  # fmt: skip
         return target / PAGE
 
     def to_frames(self) -> dict[str, DataFrame]:

@@ -161,10 +161,8 @@ def compute_profile(table: Table, choices: Choices) -> Found:  # noqa: ARG001 - 
     found.add("participants", people, n=1)
     drawn = []
     for part in split_arms(table.rows[table.rows["role"] == TEST]):
-        own, whose = (
-            frame[(frame["scale"] == part.scale) & (frame["level"] == part.level)]
-            for frame in (profile, people)
-        )
+        where = f"scale == {part.scale!r} and level == {part.level!r}"
+        own, whose = profile.query(where), people.query(where)
         drawn.append((part.subject, own, whose))
         found.tell(subject=part.subject, **describe_extremes(own))
     for slug, shown in parts.split_front("profile", drawn):

@@ -184,10 +184,8 @@ def conclude_slope(
 def keep_steady(verdicts: Sequence[Row]) -> list[Row]:
     """Let no metric be better than one whose verdict a single unit turns: which is better is then left open."""
     unsteady = {one["metric"] for one in verdicts if one["hinges_on"]}
-    return [
-        one | {"better_than": [name for name in one["better_than"] if name not in unsteady]}
-        for one in verdicts
-    ]
+    steady = ([name for name in one["better_than"] if name not in unsteady] for one in verdicts)
+    return [one | {"better_than": names} for one, names in zip(verdicts, steady, strict=True)]
 
 
 def find_better(row: Mapping[Any, Any]) -> str:
@@ -275,9 +273,8 @@ def compute_robustness(table: Table, choices: Choices) -> Found:  # noqa: ARG001
     rows = [row for row in found.rows["variants"] if row["quantity"] == "standardised"]
     signs = {tuple(row[key] for key in (*PLACE, "variant")): find_sign(row) for row in rows}
     known = [row for row in rows if math.isfinite(row["low"])]
-    turned = [
-        row for row in known if find_sign(row) != signs[*(row[key] for key in PLACE), "primary"]
-    ]
+    primary = [signs[*(row[key] for key in PLACE), "primary"] for row in known]
+    turned = [row for row, sign in zip(known, primary, strict=True) if find_sign(row) != sign]
     if rows:
         found.facts |= {"turned": turned, "known": bool(known)}
     return found

@@ -299,22 +299,16 @@ def _gather_results(
     pictures = [picture for one in found.values() for picture in one.pictures]
     frame = make_frame(table, found.values(), about.standing)
     return Results(
-        headline=headline,
+        headline=headline, numbers=frame, answers=answers, cards=tuple(cards),
         verdicts=tuple(mark(one) for own in found.values() for one in own.verdicts),
-        cards=tuple(cards),
-        numbers=frame,
-        answers=answers,
         figures={picture.name: picture.caption for picture in pictures},
         captions={form.name: form.caption for form in chain(*map(list_shown, found.items()))},
         notes=tuple(_gather_notes(table, found.values())),
         how=tuple(chain(*(render_words(key, "how", draws=choices.draws) for key in shown))),
         files=list_files([one.name for one in pictures], frame["table"].unique(), (PAGE, DETAILS)),
-        simulated=bool(table.rows["simulated"].any()),
-        inputs=inputs,
-        versions=list_versions(),
-        about={"name": about.name, "date": about.date},
-        standing=about.standing,
-    )
+        simulated=bool(table.rows["simulated"].any()), inputs=inputs, versions=list_versions(),
+        about={"name": about.name, "date": about.date}, standing=about.standing,
+    )  # fmt: skip
 
 
 def list_shown(one: tuple[Section, Found]) -> list[TableForm]:
@@ -385,14 +379,11 @@ def _write(table: Table, results: Results, *, found: Everything, target: Path) -
         "lead": next((one for one in pictures if one.name == "scatter"), None),
     }  # fmt: skip
     frames = {str(name): _tidy(part) for name, part in results.numbers.groupby("table", sort=False)}
+    frames |= {DICTIONARY.removesuffix(".csv"): describe_tables([*found], frames)}
     write_folder(
-        target,
-        results.to_dict(),
+        target, results.to_dict(), details=render_template("details.html", **values), pictures=pictures, tables=frames,
         page=lambda drawings: render_template("report.html", drawings=drawings, **values),
-        details=render_template("details.html", **values),
-        pictures=pictures,
-        tables=frames | {DICTIONARY.removesuffix(".csv"): describe_tables([*found], frames)},
-    )
+    )  # fmt: skip
 
 
 def describe_tables(sections: Sequence[Section], frames: Mapping[str, DataFrame]) -> DataFrame:
