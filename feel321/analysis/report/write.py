@@ -176,8 +176,6 @@ def write_report(  # noqa: PLR0913 - every choice that changes a report has a na
 
     Raises
     ------
-    ValueError
-        If the tables cannot be analysed; names the file and the lines.
     OSError
         If a file cannot be read or written, or would replace one that is not of a former report.
     """
