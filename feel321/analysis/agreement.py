@@ -480,10 +480,8 @@ def gauge_raters(tests: DataFrame, means: DataFrame, *, rng: np.random.Generator
     Lorho, Le Ray & Zacharov (2010), eGauge: a measure of assessor expertise in audio quality evaluations, AES 38th
     International Conference.
     """
-    people = [
-        (who, own["item"].to_numpy(), own["rating"].to_numpy())
-        for who, own in tests.groupby("participant", observed=True)
-    ]
+    whose = tests.groupby("participant", observed=True)
+    people = [(who, own["item"].to_numpy(), own["rating"].to_numpy()) for who, own in whose]
     between = [_mean_squares(item, rating[None])[1][0] for _, item, rating in people]
     panel_square = float(np.nanmean(between)) if np.isfinite(between).any() else NAN
     found: list[tuple[object, str, float, float, float]] = []

@@ -35,17 +35,15 @@ from feel321.records import Statistic
 from feel321.types import REDUCER_NAMES
 
 Codes = NDArray[np.intp]
-
 CHANCE = 0.5  # Share of choices that a metric predicts, or of answers that are right, by guessing
 FEWEST = 3  # Participants and recordings below which the share of choices has no interval
 LEAST = 2  # Participants that an interval over participants needs
 EVERY = "all reducers"
 LARGEST = 12.0  # From here on a d' is perfect to rounding: an error in 10^6 trials or fewer
-
+# Observer's model -> divisor of d' in the second factor of the share correct; the first is always √2
 SPREADS: Mapping[str, float] = MappingProxyType({
     "independent": 2.0, "differencing": float(np.sqrt(6)),
 })  # fmt: skip
-"""Observer's model -> divisor of d' in the second factor of the share correct; the first is always √2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,12 +183,8 @@ def infer_share(votes: Votes, scores: Values) -> dict[str, float]:
     influence = np.where(known, scores - share, 0.0) / known.sum() / (share * (1 - share))
     centre = float(logit(share))
     margin, p = _infer(votes, centre, influence)
-    return {
-        "share": share,
-        "low": float(expit(centre - margin)),
-        "high": float(expit(centre + margin)),
-        "p": p,
-    }
+    low, high = float(expit(centre - margin)), float(expit(centre + margin))
+    return {"share": share, "low": low, "high": high, "p": p}
 
 
 def _infer(votes: Votes, value: float, influence: Values) -> tuple[float, float]:

@@ -46,18 +46,14 @@ if TYPE_CHECKING:
 
 WIDTH_CM, CM_PER_INCH = 14.0, 2.54
 THIN, GREY, BLACK, PALE = 0.5, "#757575", "#000000", "#DEDEDE"
-
+# What ink, grey, fill and paper are on a page: names of its style sheet's variables
 PAGE_COLOURS: Mapping[str, str] = MappingProxyType({
     BLACK: "ink", GREY: "faint", PALE: "line", "#FFFFFF": "paper",
 })  # fmt: skip
-"""What ink, grey, fill and paper are on a page: names of its style sheet's variables."""
-
+# Colour-blind safe; its yellow is left out because it fades on white paper
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
-"""Colour-blind safe; its yellow is left out because it fades on white paper."""
-
+# As many as can be told apart in print; a pair of colour and marker comes again only after 77 reducers
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "p")
-"""As many as can be told apart in print; a pair of colour and marker comes again only after 77 reducers."""
-
 PRINT: Any = {
     "font.family": "DejaVu Sans", "font.size": 8, "axes.labelsize": 8, "axes.titlesize": 8,
     "figure.titlesize": 8.5, "figure.labelsize": 8,
@@ -66,9 +62,8 @@ PRINT: Any = {
     "lines.markersize": 4, "lines.linewidth": 0.8, "text.parse_math": False,
     "svg.fonttype": "none", "svg.hashsalt": "feel321",
 }  # fmt: skip
-
+# Letters of 8 points beside each other, on average, and the height of their line
 LETTERS_PER_CM, LINE_CM = 6.2, 0.36
-"""Letters of 8 points beside each other, on average, and the height of their line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,19 +184,17 @@ def make_handles(looks: Mapping[str, Look]) -> dict[str, Artist]:
     from matplotlib.lines import Line2D
 
     rim: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "markeredgewidth": THIN}
-    return {
-        name: Line2D([], [], color=look.colour, marker=look.marker, **rim)
-        for name, look in looks.items()
-    }
+    pairs = looks.items()
+    return {name: Line2D([], [], color=one.colour, marker=one.marker, **rim) for name, one in pairs}
 
 
 # How figures are saved: as vector and as bitmap, the same bytes for the same data.
 
 PNG_DPI = 200
+# Format -> what matplotlib writes into its files beside the drawing: its version and the hour, which differ
 STAMPS: Mapping[str, tuple[str, ...]] = MappingProxyType({
     "svg": ("Date", "Creator", "Format", "Type"), "png": ("Software",),
 })  # fmt: skip
-"""Format -> what matplotlib writes into its files beside the drawing: its version and the hour, which differ."""
 
 
 def save_figure(figure: Figure, stem: Path) -> None:
@@ -223,10 +216,9 @@ AXIS_CM, LABEL_CM = 1.5, 4.4  # Room for an axis's numbers and its label, and fo
 # Forest: estimates with intervals, one row each.
 
 ROW_CM, MARK_CM = 0.46, 0.24  # Height of a row, and of each further mark in it
-
+# An interval is cut, with an arrow, where it is this many times as wide as the range of the estimates and of half of
+# all intervals: one that is uninformative must not squeeze all others
 FARTHEST = 6.0
-"""An interval is cut, with an arrow, where it is this many times as wide as the range of the estimates and of half
-of all intervals: one that is uninformative must not squeeze all others."""
 
 
 def plot_forest(  # noqa: PLR0913 - what a forest may have, by name
@@ -349,9 +341,8 @@ def draw_estimates(  # noqa: PLR0913 - what a forest may have, by name
 
 # Scatter: stimuli as points, their ratings against a metric; residuals.
 
+# Values of eq. 1 below this are drawn at the edge: one spectral match of -30 would squeeze all others together.
 CUT = -1.0
-"""Values of eq. 1 below this are drawn at the edge: one spectral match of -30 would squeeze all others together."""
-
 CELL_CM = 4.2
 
 
@@ -406,8 +397,8 @@ def draw_scatters(
     return figure
 
 
+# Points that an eye can use; of more rows this many are drawn, evenly through their order
 MOST = 2000
-"""Points that an eye can use; of more rows this many are drawn, evenly through their order."""
 
 
 def draw_residuals(models: Mapping[str, Statistic]) -> Figure:
@@ -524,10 +515,10 @@ def draw_space(space: Statistic, names: Sequence[str]) -> Figure:
     return figure
 
 
+# Of a drawing's file: its head, who made it, and a style sheet that would style the whole page
 UNWANTED = re.compile(
     r"^.*?(?=<svg)|<metadata>.*?</metadata>|<defs>\s*<style[^>]*>.*?</style>\s*</defs>", re.DOTALL
 )
-"""Of a drawing's file: its head, who made it, and a style sheet that would style the whole page."""
 
 
 def inline_svg(name: str, caption: str, path: Path) -> Markup:

@@ -139,6 +139,7 @@ class CorrelationMethod(NamedTuple):
     within: bool
 
 
+# The one list of correlations: name -> how; ``within`` is Pearson's
 METHODS: Mapping[str, CorrelationMethod] = MappingProxyType({
     "pearson": CorrelationMethod(weighted_pearson, ranked=False, within=False),
     "spearman": CorrelationMethod(weighted_spearman, ranked=True, within=False),
@@ -147,7 +148,6 @@ METHODS: Mapping[str, CorrelationMethod] = MappingProxyType({
     "within_spearman": CorrelationMethod(weighted_spearman, ranked=True, within=True),
     "within_kendall": CorrelationMethod(weighted_kendall, ranked=True, within=True),
 })
-"""The one list of correlations: name -> how; ``within`` is Pearson's."""
 
 
 def draw_counts(n_units: int, draws: int, *, rng: np.random.Generator) -> Values:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 TEMPLATES = Path(__file__).parent / "templates"
 MINUS = "\N{MINUS SIGN}"
 ABSENT = "\N{EN DASH}"  # Written where a number is not defined
-
 # Digits behind the point, per kind of number.
 PLACES = {"correlation": 2, "slope": 2, "rating": 1, "df": 1, "count": 0, "p": 3}
 # Below this a probability is written as smaller; from here on a number is written with its power of ten.
@@ -31,7 +30,6 @@ SMALLEST_P, UNWIELDY = 0.001, 1e6
 # Spaces at which no line may break: of a percent sign, and of a small probability with its name.
 TORN = re.compile("(?<=[0-9]) (?=%)|(?<=\\bp) (?=\\(Holm\\))| (?=<\N{NO-BREAK SPACE})")
 ABBREVIATED = re.compile(r"\b(?:mushra|abx)\b")  # Names of scales that are abbreviations
-
 # Suffix of a metric's name in a model -> how it is written.
 PARTS = {"_w": " within recordings", "_b": " between recordings", None: ""}
 # What the metrics of the report that is being written declare: names are put into words in many places, most of which
@@ -230,6 +228,7 @@ def _write_estimate(
     return value if interval == ABSENT else f"{value} ({lead}{interval})"
 
 
+# Filters of all templates: names and numbers as `feel321.analysis.words` writes them
 FILTERS: Mapping[str, Any] = {
     "words": format_name,
     "start": capitalise,
@@ -245,4 +244,3 @@ FILTERS: Mapping[str, Any] = {
     "level": format_level,
     "percent": lambda share: f"{format_number(100 * share, kind='count')} %",
 }
-"""Filters of all templates: names and numbers as `feel321.analysis.words` writes them."""

@@ -154,13 +154,12 @@ def _summarise(means: DataFrame, key: list[str]) -> DataFrame:
 
 
 CELL = ["participant", "recording", "reducer", "item"]
-
+# Spreads of the model of reducers -> the columns that they are over
 GROUPS = {
     "participant": ["participant"], "recording": ["recording"], "item": ["item"],
     "participant:recording": ["participant", "recording"], "participant:which": ["participant", "reducer"],
     "source": ["source"], "source:which": ["source", "reducer"],
 }  # fmt: skip
-"""Spreads of the model of reducers -> the columns that they are over."""
 
 
 def compare_reducers(

@@ -30,7 +30,6 @@ from feel321.analysis.mixed.design import Factor, MixedDesign
 from feel321.types import Samples
 
 Codes = NDArray[np.intp]
-
 MOST_LEVELS = 10_000  # Effects beside the unit's: with more, the dense equations need gigabytes
 LARGE = 600  # Rows of a dense matrix from which on two threads do not wait for each other
 HELD = Lock()  # Taken by whoever set the limit of threads, which holds for the whole process
@@ -293,9 +292,8 @@ class Profile:
         slopes = np.zeros((size + 1, self.n_fixed, self.n_fixed))
         is_even = (state.theta == 0) & self.own.straight & self.shared.straight
         for place, shift in enumerate(np.diag(STEP * unit)):
-            if is_even[
-                place
-            ]:  # both sides of a spread of 0 are alike, and nothing else changes along it
+            # Both sides of a spread of 0 are alike, and nothing else changes along it.
+            if is_even[place]:
                 end = self.evaluate(state.theta + shift)
                 rise = self.find_slope(end, end.rss / sigma**2)[place]
                 hessian[place, place] = rise * unit[place] / STEP

@@ -31,7 +31,6 @@ from feel321.analysis.primary.plan import ITEM, REDUCER, SCENE, SOURCE, find_mos
 from feel321.types import Samples
 
 Codes = NDArray[np.intp]
-
 LEVEL = 0.05  # Of all tests of a study together, by Holm's method
 ENOUGH = 0.8  # Power that is asked for
 SIZES = ("participants", "recordings", "reducers", "repeats")  # What a plan varies
@@ -41,12 +40,11 @@ MOST = {"participants": 10_000, "recordings": 1000}  # Nobody recruits or record
 DRAWS = 25  # Of stimuli, where a design draws them
 WIDER = (20, 100, 1000, 10_000)  # Standard errors within which the detectable slope is sought
 FLAT = 1e-9  # Share of a metric's size below which what the others leave of it is rounding
-
+# Standard deviation of a truth -> grouping factor of the primary model
 GROUPS = {
     "person_sd": "participant", "recording_sd": SCENE, "item_sd": ITEM, "reducer_sd": REDUCER,
     "person_recording_sd": f"participant:{SCENE}", "person_reducer_sd": f"participant:{REDUCER}",
 }  # fmt: skip
-"""Standard deviation of a truth -> grouping factor of the primary model."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,12 +34,10 @@ TRIED = 8  # Designs that are simulated in search of one that its simulation doe
 STEP = 0.8  # Share of a refuted design's detectable slope that the next one must detect
 LEAST_TESTED = 0.9  # Share of simulated studies that must give a test, to confirm a design
 SURE, HOPELESS = 0.99, 0.01
-
+# Verdicts: a design is enough; or none is, and why (ceiling: no number of participants is)
 ENOUGH, NOTHING, UNTESTABLE, CEILING, REFUTED, SMALL = (
     "enough", "nothing planted", "not estimable", "ceiling", "refuted", "too small",
 )  # fmt: skip
-"""Verdicts: a design is enough; or none is, and why (ceiling: no number of participants is)."""
-
 Simulate = Callable[[PowerDesign], Samples]  # Gives p of every test, (studies, n_hypotheses)
 
 

@@ -52,7 +52,6 @@ COLUMNS = (
 
 TENTHS = ("tenth", "tenth_low", "tenth_high")
 UNITS = {"rater-standardised": "rater SDs", "logits": "logits"}  # Of slopes that are not in points
-
 Variant = tuple[str, Callable[[], Cells], str, dict[str, bool]]  # Name, cells, note, and terms
 
 
@@ -131,10 +130,8 @@ def _vary_rigs(rows: pd.DataFrame, metrics: Sequence[str], cells: Cells) -> Iter
         make = partial(make_cells, rows.assign(**delivered), metrics)
         yield "delivered metrics", make, note, {}
     for name in (name for name in RIGS if name in rows):
-        means, whole = (
-            rows.groupby(keys, observed=True)[RATING].transform("mean")
-            for keys in ([name, SCENE], SCENE)
-        )
+        both = (rows.groupby(keys, observed=True)[RATING] for keys in ([name, SCENE], SCENE))
+        means, whole = (ratings.transform("mean") for ratings in both)
         left = rows.assign(**{RATING: rows[RATING] - means + whole})
         yield f"{name} as a factor", partial(make_cells, left, metrics), "", {}
         for value, people in rows.drop_duplicates(WHO).groupby(name)[WHO]:

@@ -31,9 +31,8 @@ if TYPE_CHECKING:
     from feel321.analysis.table.items import Table
 
 OPPOSITE = "opposite"
+# Exceptional reducers, and findings of other protocols, that the sentence names before it only counts
 NAMED = 2
-"""Exceptional reducers, and findings of other protocols, that the sentence names before it only counts."""
-
 PLACE = ("scale", "level", "metric")
 
 

@@ -31,11 +31,10 @@ if TYPE_CHECKING:
 
 PAGE, DETAILS, RESULTS = "index.html", "details.html", "results.json"
 METHODS = "methods.md"  # The methods section, which the study writes beside a report
-
+# Only these files may be deleted, whatever ``results.json`` lists
 OWN = re.compile(
     r"index\.html|details\.html|results\.json|figures/[^/\\]+\.(?:svg|png)|tables/[^/\\]+\.csv"
 )
-"""Only these files may be deleted, whatever ``results.json`` lists."""
 
 
 def list_files(
@@ -144,12 +143,12 @@ def _refuse_foreign(target: Path, wanted: Iterable[str]) -> set[str]:
 
 # Results that have one page: the trade-off, power.
 
+# Version of what their ``results.json`` holds: raised when a field changes or goes
 SCHEMA_VERSION = 1
-"""Version of what their ``results.json`` holds: raised when a field changes or goes."""
 
 
+# What a folder is made of: template, what results.json holds besides files, figures, what the template shows
 PageParts = tuple[str, Mapping[str, object], Sequence["Picture"], Mapping[str, Any]]
-"""What a folder is made of: template, what results.json holds besides files, figures, what the template shows."""
 
 
 class PageResult(Result):

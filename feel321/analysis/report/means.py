@@ -45,8 +45,8 @@ REDUCER, TEST = "reducer", ROLES[0]
 
 # Stimuli: correlations of their mean ratings with metrics.
 
+# The method that the words give, its counterpart by ranks, and the one that scatters and cards give
 LEADING, RANKED, DRAWN = "pearson", "spearman", "within"
-"""The method that the words give, its counterpart by ranks, and the one that scatters and cards give."""
 
 
 def compute_correlations(table: Table, choices: Choices) -> Found:
@@ -114,10 +114,8 @@ def _draw(found: Found, shown: Sequence[tuple[Statistic, str]], table: Table, *,
     panels = [panel for panel, _ in shown]
     counts = [int(count) for panel in panels for count in panel.stimuli["n_participants"]]
     edges = {name: find_cut(name) for name in table.metrics}
-    cut = [
-        (int(sum((panel.stimuli[name] < edge).sum() for panel in panels)), name)
-        for name, edge in edges.items()
-    ]
+    stimuli = pd.concat([panel.stimuli for panel in panels])
+    cut = [(int((stimuli[name] < edge).sum()), name) for name, edge in edges.items()]
     says = {
         "subjects": [name for _, name in shown], "cut": [pair for pair in cut if pair[0]],
         "method": format_method(DRAWN), "people": format_span(counts) if max(counts) >= SMALLEST else "",
@@ -214,14 +212,12 @@ def compute_contrasts(table: Table, choices: Choices) -> Found:
         pairs, joint = compared
         found.add("contrasts", pairs, **part.keys)
         frame = pd.DataFrame(pairs)
-        sizes: Row = {
-            "differ": int((frame["p_holm"] < parts.SIGNIFICANCE).sum()),
-            "n_pairs": len(pairs),
-        }
+        differ = int((frame["p_holm"] < parts.SIGNIFICANCE).sum())
+        sizes: Row = {"differ": differ, "n_pairs": len(pairs)}
         people = part.rows["participant"].nunique()
         found.add("reducers_together", [joint | sizes], n=people, **part.keys)
         same = frame.loc[frame["equivalent"], ["first", "second"]].to_numpy().tolist()
-        hint = describe_hint(part.rows) if sizes["differ"] or same else []
+        hint = describe_hint(part.rows) if differ or same else []
         found.tell(subject=part.subject, same=same, margin=margin, hint=hint, **sizes)
     return found
 

@@ -79,9 +79,8 @@ def _predict(found: Found, part: Part, table: Table) -> None:
     found.add("choices_differences", one.differences, **keys)
     sizes = {name: one[name] for name in ("n_participants", "n_recordings", "n_pairs")}
     found.add("choices_sizes", [sizes | {"n": one.n_votes}], **part.keys)
-    found.tell(
-        claims=True, **describe_prediction(part, table, one, shares=shares.to_dict("records"))
-    )
+    told = describe_prediction(part, table, one, shares=shares.to_dict("records"))
+    found.tell(claims=True, **told)
     drawn = 100 * shares[["share", "low", "high"]]
     drawn["name"] = shares["metric"].map(format_name)
     places = [100 * row["share"] for row in known]

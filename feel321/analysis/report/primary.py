@@ -27,15 +27,13 @@ if TYPE_CHECKING:
 
 HIGHER, LOWER = "higher", "lower"
 PLACE = ("scale", "level", "metric")
-
+# The verdict on a metric without a slope
 BLANK: Row = {
     "verdict": NOT_ESTIMABLE, "direction": "", "higher": "better", "opposite": False, "hinges_on": [],
     "better_than": [], "few": [], "beyond_level": "",
 }  # fmt: skip
-"""The verdict on a metric without a slope."""
-
+# What programs are told of a slope; the words need more
 VERDICT = ("scale", "level", "metric", "subject", "ratings", *BLANK)
-"""What programs are told of a slope; the words need more."""
 
 
 def per_step(slopes: DataFrame, steps: Mapping[str, Step]) -> DataFrame:
@@ -131,10 +129,8 @@ def _fit(found: Found, table: Table, choices: Choices) -> tuple[dict[Part, Prima
 
 def orient_differences(model: Primary, info: Mapping[str, MetricInfo]) -> Primary:
     """Compare slopes each in the direction that its metric declares: one of which lower is better changes its sign."""
-    signs = {
-        name: -1.0 if name in info and info[name].higher == "worse" else 1.0
-        for name in map(str, model.slopes.index)
-    }
+    worse = {name for name, one in info.items() if one.higher == "worse"}
+    signs = {name: -1.0 if name in worse else 1.0 for name in map(str, model.slopes.index)}
     if min(signs.values(), default=1.0) > 0:
         return model
     scales = (model.slopes["standardised"] / model.slopes["estimate"]).to_dict()

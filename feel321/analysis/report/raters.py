@@ -26,14 +26,13 @@ from feel321.types import MATCHES
 if TYPE_CHECKING:
     from feel321.analysis.resampling import Choices
 
+# Standard errors on either side of an estimate that make a 95 % interval
 NORMAL = 1.959963984540054
-"""Standard errors on either side of an estimate that make a 95 % interval."""
-
 EVERYONE, STANDARD, ANY = "everyone", "standard", "any"
+# Groups of raters that the primary slopes are fitted to -> what they are called
 GROUPS = {
     EVERYONE: "everyone", STANDARD: "without those flagged by BS.1534-3", ANY: "without anyone flagged",
 }  # fmt: skip
-"""Groups of raters that the primary slopes are fitted to -> what they are called."""
 
 
 def compute(table: Table, choices: Choices) -> Found:

@@ -46,9 +46,8 @@ Row = dict[Any, Any]
 
 NONE = math.nan
 ENDS = ("value", "low", "high", "p")
+# Columns of every row; all others say what the number is of
 FIXED = ("quantity", *ENDS, "n", "interval", "note")
-"""Columns of every row; all others say what the number is of."""
-
 SIGNIFICANCE = 0.05
 
 
@@ -86,10 +85,10 @@ def list_few(units: Mapping[str, int], least: int) -> list[str]:
 
 # What a template declares: tables and figures.
 
+# Keys that a page shows as they are; those of all others are put into words
 RAW = frozenset({
     "reducer", "second_reducer", "participant", "stimulus", "recording", "role", "unit", "group", "term",
 })  # fmt: skip
-"""Keys that a page shows as they are; those of all others are put into words."""
 
 
 class Quantity(NamedTuple):
@@ -112,12 +111,8 @@ class Quantity(NamedTuple):
         if self.kind == "note":
             yield self.head, [str(row.get("note", "")) for row in rows]
             return
-        told = [
-            format_estimate(row["value"], row["low"], row["high"], kind=self.kind)
-            if row
-            else ("", "")
-            for row in rows
-        ]
+        ends = [tuple(read_ends(row).values()) if row else () for row in rows]
+        told = [format_estimate(*one, kind=self.kind) if one else ("", "") for one in ends]
         yield self.head, [value for value, _ in told]
         if kinds := [row["interval"] for row in rows if row and math.isfinite(row["low"])]:
             yield f"{kinds[0][:4]} interval", [interval for _, interval in told]
@@ -305,8 +300,8 @@ class Section:
         return found
 
 
+# Scales and levels that a figure of the first page shows, so that it can be read on paper; the others follow
 FRONT = 4
-"""Scales and levels that a figure of the first page shows, so that it can be read on paper; the others follow."""
 
 
 def split_front(name: str, drawn: Sequence[Anything]) -> Iterator[tuple[str, Sequence[Anything]]]:
@@ -323,9 +318,8 @@ def find_table_steps(table: Table) -> dict[str, Step]:
 
 # More ratings than a mixed model can be fitted to in reasonable time and memory.
 
+# Random effects besides those of the largest group, which make a dense matrix; of those and the largest group's
 MOST_DENSE, MOST_PRODUCTS = 1500, 40_000_000
-"""Random effects besides those of the largest group, which make a dense matrix; of those and the largest group's."""
-
 FEWEST = 8  # Participants and recordings are not thinned below this
 
 

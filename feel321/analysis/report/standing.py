@@ -15,6 +15,7 @@ from typing import Any
 
 from feel321.analysis.words import CONFIRMATORY, EXPLORATORY, format_level, format_name
 
+# What feel321 decides about the primary analysis, and no setting: it is frozen with the settings
 MODEL: Mapping[str, Any] = {
     "model": (
         "rating ~ 1 + metrics within recordings + metrics between recordings + level within recordings where known + "
@@ -32,11 +33,8 @@ MODEL: Mapping[str, Any] = {
     ),
     "not_estimable": "below 3 participants, 3 recordings (or sources of them), 3 reducers or 2 degrees of freedom",
 }  # fmt: skip
-"""What feel321 decides about the primary analysis, and no setting: it is frozen with the settings."""
-
+# Quantities of a slope that are the declared test; the others are sensitivity analyses
 TESTED = frozenset({"slope", "slope_quartile", "df"})
-"""Quantities of a slope that are the declared test; the others are sensitivity analyses."""
-
 COMPUTED_WITH = ("numpy", "scipy", "pandas", "statsmodels", "scikit-learn", "matplotlib", "jinja2")
 
 

@@ -35,10 +35,10 @@ from feel321.types import MetricInfo, PathLike, Progress, Rng
 if TYPE_CHECKING:
     from feel321.analysis.replication import Paper
 
+# Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes
 SCHEMA_VERSION = 2
-"""Version of ``results.schema.json``, which describes ``results.json``: raised when a field changes or goes."""
-
 TITLE = "Do the metrics predict the ratings?"
+# Anchor of each question -> how it is put; sections name the one that they answer
 QUESTIONS: Mapping[str, str] = {
     "paper": "The paper's questions",
     "predict": TITLE,
@@ -48,8 +48,7 @@ QUESTIONS: Mapping[str, str] = {
     "hinge": "How much does it hinge on choices?",
     "computed": "How was it computed?",
 }
-"""Anchor of each question -> how it is put; sections name the one that they answer."""
-
+# The one list of a report's sections, by question
 SECTIONS = (
     Section("primary", "Change in rating with each metric, within recordings", "predict", "primary:compute"),
     Section("metrics", "Correlations of mean ratings with metrics", "predict", "means:compute_correlations"),
@@ -64,11 +63,8 @@ SECTIONS = (
     Section("raters", "Raters", "trust", "raters:compute"),
     Section("robustness", "Robustness to other choices", "hinge", "primary:compute_robustness"),
 )  # fmt: skip
-"""The one list of a report's sections, by question."""
-
+# Of a replication, and first on its pages; it needs what the others found
 PAPER = Section("paper", QUESTIONS["paper"], "paper", "answer:compute_paper")
-"""Of a replication, and first on its pages; it needs what the others found."""
-
 Everything = Mapping[Section, Found]  # What every section found, in the order of the pages
 
 

@@ -28,11 +28,12 @@ from pandas import DataFrame, Series
 from feel321.analysis.table import schema
 from feel321.types import MATCHES, METRIC_INFO, REDUCER_NAMES, WRITTEN, MetricInfo
 
+# File beside a manifest whose ``metrics`` say what the columns of metrics are
 DECLARED = "manifest.json"
-"""File beside a manifest whose ``metrics`` say what the columns of metrics are."""
-
 TENTH = 0.1  # Step of a metric that is a share, such as a match from 0 to 1
 ROUNDING = 1e-9  # Share of a bound by which a value may pass it: files hold rounded numbers
+# Column derived from a metric and explored beside those that were planned -> what it is: per stimulus in the
+# manifest, or per judgement in the ratings, where a stimulus has the mean over its judgements
 FURTHER: Mapping[str, str] = {
     "spectral_match_rotation_mean": "mean of the spectral match over random orientations of the sensor",
     "spectral_match_rotation_sd": "standard deviation of the spectral match over random orientations of the sensor",
@@ -47,10 +48,8 @@ FURTHER: Mapping[str, str] = {
         "standard deviation of the spectral match bounded over random orientations of the sensor",
     "spectral_match_bounded_delivered": "spectral match bounded of the signal as it was delivered",
 }  # fmt: skip
-"""Column derived from a metric and explored beside those that were planned -> what it is: per stimulus in the manifest,
-or per judgement in the ratings, where a stimulus has the mean over its judgements."""
-
 LABELS = {name: METRIC_INFO[name].label for name in MATCHES}
+# Rotation statistics (Park & Kuchenbecker 2019), computed by `analyze`; a study may declare them
 ROTATIONS: Mapping[str, MetricInfo] = {
     f"{name}_rotation_mean": replace(METRIC_INFO[name], label=f"mean {label} over orientations")
     for name, label in LABELS.items()
@@ -58,8 +57,6 @@ ROTATIONS: Mapping[str, MetricInfo] = {
     f"{name}_rotation_sd": MetricInfo(f"spread of the {label} over orientations", "worse", low=0.0)
     for name, label in LABELS.items()
 }
-"""Rotation statistics (Park & Kuchenbecker 2019), computed by `analyze`; a study may declare them."""
-
 FILED = {"file", "sha256", "recording_sha256"}
 NOT_METRICS = {"stimulus_id", *schema.NAMING, "role", "source", *FILED}
 
@@ -188,6 +185,7 @@ def order_reducers(names: Iterable[str]) -> list[str]:
 # The data dictionary: type, unit, allowed values and meaning of every column.
 
 DICTIONARY = "dictionary.csv"  # The file beside the tables that it describes
+# Suffix of a column -> meaning of what stands for the rest of its name, and what is allowed
 DERIVED: Mapping[str, tuple[str, str]] = {
     "low": ("lower end of the 95 % interval of {}", ""),
     "high": ("upper end of the 95 % interval of {}", ""),
@@ -199,8 +197,6 @@ DERIVED: Mapping[str, tuple[str, str]] = {
     "b": ("{} between recordings: the mean over its recording's stimuli", ""),
     "step": ("{} within recordings, in steps (see slopes.csv)", ""),
 }
-"""Suffix of a column -> meaning of what stands for the rest of its name, and what is allowed."""
-
 UNITLESS = {"df", "t", "p", "step"}
 
 

@@ -80,49 +80,26 @@ class Table(Result):
     stimuli: DataFrame | None = None
 
     def select(self, scale: str | None = None, *, level: str | None = None) -> Table:
-        """Select the ratings of one scale or level.
+        """Select the ratings of one scale or level; metrics and notes are the same.
 
         Parameters
         ----------
         scale, level : str, optional
             Its name; all if left out.
-
-        Returns
-        -------
-        Table
-            The same metrics and notes, and fewer rows.
         """
         return replace(self, rows=_choose(self.rows, scale, level))
 
     def votes(self) -> DataFrame:
-        """Lay the ratings of test stimuli of one scale and level out as items by raters.
-
-        Returns
-        -------
-        DataFrame, shape (items, raters)
-            Each participant's mean over repeats, NaN where there is none.
-        """
+        """Lay ratings of test stimuli out, (items, raters): means over repeats, NaN where there is none."""
         rows, _ = open_tests(self)
         return rows.pivot_table("rating", STIMULUS, "participant", observed=True)
 
     def to_frame(self) -> DataFrame:
-        """Return the judgements.
-
-        Returns
-        -------
-        DataFrame
-            A copy of the rows.
-        """
+        """Return a copy of the judgements."""
         return self.rows.copy()
 
     def summary(self) -> str:
-        """Write what the table holds.
-
-        Returns
-        -------
-        str
-            Counts, metrics and notes, one per line.
-        """
+        """Write what the table holds: counts, metrics and notes, one per line."""
         names = ("participant", STIMULUS, "recording", "reducer", *ARMS)
         counts = (f"{self.rows[name].nunique()} {name.removesuffix('_id')}s" for name in names)
         held = f"{len(self.rows)} judgements: {', '.join(counts)}"
@@ -218,10 +195,8 @@ def leave_untested(ratings: DataFrame) -> tuple[DataFrame, tuple[str, ...]]:
     n = int((~tested).sum())
     if n == len(ratings):
         raise ValueError(f"ratings must be of test stimuli, got no row with role 'test' among {n}")
-    left = (
-        f"{n} rating{'s' * (n > 1)} of other stimuli than test stimuli (hidden references, anchors)"
-    )
-    return ratings[tested], (f"{left} {'are' if n > 1 else 'is'} left out.",)
+    what = f"rating{'s' * (n > 1)} of other stimuli than test stimuli (hidden references, anchors)"
+    return ratings[tested], (f"{n} {what} {'are' if n > 1 else 'is'} left out.",)
 
 
 def name_stimuli(ratings: DataFrame) -> DataFrame:

@@ -33,30 +33,25 @@ from feel321.arguments import as_names, as_path, describe
 from feel321.files import open_text
 from feel321.types import REDUCER_NAMES, MetricInfo, PathLike
 
+# Tables of a study, in its folder
 RATINGS_FILE, MANIFEST_FILE = "ratings.csv", "stimuli/manifest.csv"
-"""Tables of a study, in its folder."""
-
 ROSTER_FILE = "participants.csv"
+# Columns on what the participants felt the stimuli on, and what they are in words
 RIG = {"rig": "rig", "calibration": "certificate of calibration"}
-"""Columns on what the participants felt the stimuli on, and what they are in words."""
-
+# Columns on the progress of a participant; all others, but for the participant's name, are labels
 ROSTER = frozenset({
     "number", "simulated", "state", "sessions", "answered", "given_up", "total",
     "first_utc", "last_utc", "training_passed", *RIG,
 })  # fmt: skip
-"""Columns on the progress of a participant; all others, but for the participant's name, are labels."""
-
+# Columns that judgements keep where there are any
 OPTIONAL = (
     "protocol", "response_time_s", schema.AMPLITUDE, schema.SENSATION, schema.ERROR, schema.SOURCE,
 )  # fmt: skip
-"""Columns that judgements keep where there are any."""
-
+# What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
+# repeats are counted instead, so does what it was judged against.
 JUDGEMENT = (
     "participant", "session", "protocol", "scale", "block", STIMULUS, "reference_id", OTHER,
 )  # fmt: skip
-"""What, with its trial, may occur once only. The stimulus belongs to it: a page of stimuli is one trial; and where
-repeats are counted instead, so does what it was judged against."""
-
 CROWDED = 0.2  # Share of ratings at the ends of the scale from which they are said to crowd there
 SHORT = 10  # Points below which a scale's highest rating makes one doubt that it went to 100
 SPACE = "Where a map of the dissimilarities can be made, see The space of what was felt."

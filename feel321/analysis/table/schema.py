@@ -25,63 +25,49 @@ from pandas import DataFrame, Series
 from feel321.files import clip, decode, read_bytes
 
 LOWEST, HIGHEST = 0.0, 100.0  # The ends of every rating scale
+# No metric is larger in size; squares of much larger numbers are no numbers any more
 LARGEST = 1e12
-"""No metric is larger in size; squares of much larger numbers are no numbers any more."""
-
 PAIRED, ANSWERED = "dissimilarity", "abx"
+# Scales on which one of two stimuli was chosen: 100 for the one named first, 0 for the other
 CHOSEN = ("triplet", "preference")
-"""Scales on which one of two stimuli was chosen: 100 for the one named first, 0 for the other."""
-
+# Scales that enter no association: a metric describes one stimulus, and is larger or smaller
 APART = (PAIRED, ANSWERED, *CHOSEN)
-"""Scales that enter no association: a metric describes one stimulus, and is larger or smaller."""
-
+# Scale of dissimilarities from the original turned round: 100 less the dissimilarity is a rating of one stimulus
 RECAST = "similarity_to_original"
-"""Scale of dissimilarities from the original turned round: 100 less the dissimilarity is a rating of one stimulus."""
-
 ROLES = ("test", "reference", "anchor")
 PAIR = "pair"  # Role of a stimulus that is rated against another one than the reference
 SURFACE = "surface"  # Reference of a judgement that compares with the real surface
+# Columns that together name a stimulus where there is no stimulus_id
 NAMING = ("recording", "reducer", "level")
-"""Columns that together name a stimulus where there is no stimulus_id."""
-
 AMPLITUDE, GAIN, SENSATION = "rms_m_s2", "gain", "sensation_level_db"
+# Columns of a manifest that describe a stimulus and match it with nothing
 FACTS = (AMPLITUDE, GAIN, SENSATION)
-"""Columns of a manifest that describe a stimulus and match it with nothing."""
-
+# Columns on what was delivered, beside the metrics
 ERROR, SOURCE = "level_error_db", "delivered_by"
-"""Columns on what was delivered, beside the metrics."""
-
 YES = frozenset({"true", "1", "yes"})
 NO = frozenset({"false", "0", "no", ""})
-
+# Metrics of the primary analysis unless others are declared
 PLANNED = ("spectral_match_bounded", "temporal_match")
-"""Metrics of the primary analysis unless others are declared."""
-
+# Used for a planned metric that a manifest does not have
 STAND_INS = {"spectral_match_bounded": "spectral_match"}
-"""Used for a planned metric that a manifest does not have."""
-
+# Kinds of columns, besides those that hold numbers (`NUMBERS`)
 TEXT, NAME, FLAG, METRIC, UNUSED = "text", "name", "flag", "metric", "unused"
-"""Kinds of columns, besides those that hold numbers (`NUMBERS`)."""
-
+# Column of a table with a row per judgement -> its kind
 RATINGS: Mapping[str, str] = {
     "participant": NAME, "session": TEXT, "protocol": TEXT, "block": TEXT, "trial": NAME, "repeat": NAME,
     "stimulus_id": NAME, **dict.fromkeys(NAMING, TEXT), "reference_id": TEXT, "scale": NAME, "rating": "rating",
     "response_time_s": "time", "onset_s": UNUSED, "underruns": "count", "rejected": FLAG, "simulated": FLAG,
     ERROR: "error", SOURCE: TEXT, SENSATION: UNUSED, "other_id": TEXT,
 }  # fmt: skip
-"""Column of a table with a row per judgement -> its kind."""
-
+# Column of a table with a row per stimulus -> its kind
 MANIFEST: Mapping[str, str] = {
     "stimulus_id": NAME, **dict.fromkeys(NAMING, NAME), "role": TEXT, "source": TEXT,
     AMPLITUDE: "amplitude", GAIN: "known", SENSATION: "known",
     **dict.fromkeys(("file", "rate_hz", "n_samples", "duration_s", "peak", "clipped"), UNUSED),
     **dict.fromkeys(("sha256", "recording_sha256", "band_high_hz"), UNUSED),
 }  # fmt: skip
-"""Column of a table with a row per stimulus -> its kind."""
-
+# Columns that ratings and a manifest must have
 NEEDED = {"participant", "stimulus_id", "scale", "rating"}, {"stimulus_id", "recording", "reducer"}
-"""Columns that ratings and a manifest must have."""
-
 MOSTLY = 0.5  # Share of a column's cells that are numbers where the column is meant to hold numbers
 FOREIGN = {
     b"\x1f\x8b": "a gzip file; unpack it first",
@@ -102,6 +88,7 @@ class Rule(NamedTuple):
     do: str = ""
 
 
+# Kind of a column that holds numbers -> its rule
 NUMBERS: Mapping[str, Rule] = {
     "rating": Rule(
         "be 0 to 100", lambda values: values.between(LOWEST, HIGHEST), None, "rescale what was asked on another scale"
@@ -113,7 +100,6 @@ NUMBERS: Mapping[str, Rule] = {
     "error": Rule("be a number or empty", lambda values: ~(values.abs() > LARGEST)),
     "known": Rule("be a number or empty", lambda values: values.notna()),
 }  # fmt: skip
-"""Kind of a column that holds numbers -> its rule."""
 
 
 def read_sheet(
