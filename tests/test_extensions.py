@@ -115,13 +115,17 @@ def test_a_set_holds_the_labs_own_reducers_and_metrics_and_is_built_alike_by_two
     study: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(study)
-    own = {"reducers": ["dft321", "methods/my321.py:my321"], "metrics": ["methods/my321.py:crest"]}
+    own = {
+        "reducers": ["dft321", "methods/my321.py:my321"],
+        "metrics": ["spqi", "methods/my321.py:crest"],
+    }
     scenes = [stimuli.make_scene(name, duration_s=0.3) for name in ("bumps", "hard_taps")]
     built = stimuli.build_stimuli(scenes, study / "two", workers=2, **own)
     alone = stimuli.build_stimuli(scenes, study / "one", **own)
-    assert built.sha256 == alone.sha256
+    again = stimuli.build_stimuli(scenes, study / "one", **own)
+    assert built.sha256 == alone.sha256 == again.sha256
     row = built["bumps__my321__as_is"]
-    assert row.metrics.keys() == {"crest"}
+    assert list(row.metrics) == ["spqi", "crest"]
     assert stimuli.read_stimuli(study / "two") == built
     assert stimuli.check_stimuli(study / "two") == []
     json_files = [(study / name / "manifest.json").read_bytes() for name in ("one", "two")]

@@ -208,7 +208,12 @@ def build_set(
             for source in sources
         )
         lines: list[Built] = [line for own in written for line in own]
-        rows, finished = [line.row for line in lines], sorted(parts.glob("*.wav"))
+        # What is remembered is in alphabetical order, the columns of a set are in that of its recipe.
+        rows = [
+            replace(line.row, metrics={name: line.row.metrics[name] for name in recipe.metrics})
+            for line in lines
+        ]
+        finished = sorted(parts.glob("*.wav"))
         stale = {one.row.file for own in history.values() for one in own}
         stale -= {row.file for row in rows}
         if finished or stale:  # the set has no manifest meanwhile
