@@ -311,7 +311,6 @@ class Rule(NamedTuple):
 
 STANDARD, EXTENSION = "ITU-R BS.1534-3", "extension"
 EXPERTISE = "expertise"  # The rule that needs a source of randomness
-# Name -> rule, in the order of reports
 RULES: Mapping[str, Rule] = MappingProxyType({
     "hidden_reference": Rule(
         "hidden reference below 90 on more than {limit:.0%} of items", STANDARD, 0.15,
@@ -356,6 +355,7 @@ RULES: Mapping[str, Rule] = MappingProxyType({
         "test stimuli rated twice or by others too",
     ),
 })  # fmt: skip
+"""Name -> rule, in the order of reports."""
 
 
 def _choose_limits(rules: Iterable[str] | None, *, random: bool) -> dict[str, float]:
