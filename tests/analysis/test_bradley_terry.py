@@ -142,6 +142,20 @@ def test_raters_alike_give_walds_errors_and_raters_unlike_give_larger() -> None:
     assert (wider / bradley_terry(unlike).fixed["se"])["d"] > 1.5
 
 
+def test_draws_in_which_an_item_met_nobody_have_no_estimate() -> None:
+    # Only one of four raters judged c: a draw without that rater knows nothing of it, which is not an ability of 0.
+    rows = [(f"p{who}", "a", "b", "ab"[turn % 2]) for who in range(4) for turn in range(5 + who)]
+    rows += [("p3", "b", "c", "bc"[turn % 2]) for turn in range(6)]
+    trials = pd.DataFrame(rows, columns=["participant", "first", "second", "winner"])
+    result = bradley_terry(
+        trials, by_rater=True, reference="a", draws=400, rng=np.random.default_rng(0)
+    )
+    drawn = np.random.default_rng(0).multinomial(4, np.full(4, 0.25), size=400)
+    assert f"In {(drawn[:, 3] == 0).sum()} of 400 draws" in result.notes[0]
+    assert "too many draws have no estimate" in result.notes[1]
+    assert result.fixed.loc[["b", "c"], "low"].isna().all()
+
+
 def test_a_draw_is_a_fit_of_the_raters_drawn() -> None:
     trials = make_trials(raters=5, rounds=6, order=0.3)
     how = {"reference": "b", "order_effect": True}
