@@ -189,6 +189,8 @@ def test_the_first_line_on_correlations_says_what_they_are_and_that_they_are_not
     assert not any("another question" in line for line in rest)
 
 
+PROFILE = {"subject": "Realism", "clear": True, "high": ["dft321"], "low": ["mag321"], "ways": ["high", "low"],
+           "top": 80.0, "bottom": 30.0}  # fmt: skip
 PAIR = {"subject": "Realism", "differ": 1, "n_pairs": 36, "same": [], "margin": None, "hint": []}
 
 
@@ -196,12 +198,15 @@ PAIR = {"subject": "Realism", "differ": 1, "n_pairs": 36, "same": [], "margin": 
     ("name", "macro", "facts", "said"),
     [
         ("contrasts", "lines", {"parts": [PAIR]}, "1 of 36 pairs of reducers differs after"),
+        ("contrasts", "lines", {"parts": [PAIR, PAIR | {"differ": 3, "n_pairs": 10}]},
+         "In 2 sets of ratings, 1 to 3 of 10 to 36 pairs of reducers differ after"),
+        ("reducers", "lines", {"parts": [PROFILE] * 2}, "In both sets of ratings the reducers rated highest"),
+        ("reducers", "lines", {"parts": [PROFILE] * 3}, "In all 3 sets of ratings the reducers rated highest"),
+        ("reducers", "lines", {"parts": [PROFILE, PROFILE | {"clear": False}]}, "In 1 of 2 sets of ratings the"),
         ("discrimination", "clause", {"apart": 1, "n": 3}, "1 of 3 reducers and anchors was distinguished"),
         ("told_apart", "lines", {"parts": [{"level": "", "apart": [], "n": 1, "rest": ["mag321"]}]},
          "for 0 of 1 reducers. No difference was shown for mag321"),
     ],
 )  # fmt: skip
-def test_one_and_none_are_said_as_such(
-    name: str, macro: str, facts: dict[str, Any], said: str
-) -> None:
+def test_counts_are_said_as_such(name: str, macro: str, facts: dict[str, Any], said: str) -> None:
     assert said in " ".join(render_words(name, macro, **facts))
