@@ -112,13 +112,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     switches = {SWITCHES[word]: True for word in given[:end] if word in SWITCHES}
     words = ["--help" if word == "-h" else word for word in given[:end] if word not in SWITCHES]
     call = Call((*words, *given[end:]), **switches)
-    token = CALL.set(call)
+    token, usual = CALL.set(call), gc.get_threshold()
     gc.set_threshold(MOST_NEW)
     try:
         with handle_signals(), warnings.catch_warnings():
             warnings.showwarning = lambda message, *_, **__: warn(str(message))
             return _run_verb(call)
     finally:
+        gc.set_threshold(*usual)
         CALL.reset(token)
 
 

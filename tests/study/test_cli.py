@@ -1,6 +1,7 @@
 """The command line in one process: its help, how it refuses, and what the verbs of a study print."""
 
 import errno
+import gc
 import json
 import math
 import re
@@ -397,3 +398,9 @@ def test_doctor_fails_where_a_pulse_failed_or_the_device_ran_dry(
     monkeypatch.setattr(doctor, "examine_rig", lambda *_, **__: found)
     assert main(["doctor", "--device", "coil"]) == code
     assert f"n_failed {failed}\n  n_underruns {underruns}\n" in capsys.readouterr().out
+
+
+def test_who_calls_it_from_python_keeps_their_own_garbage_collection() -> None:
+    usual = gc.get_threshold()
+    assert main(["--version"]) == 0
+    assert gc.get_threshold() == usual
